@@ -1,0 +1,82 @@
+"""Small-rotation maths on matrices, for the compiled kernels.
+
+APIs speak scipy `Rotation`; filters keep a matrix `R_nb` and perturb it on the right,
+`R_nb = R_nb_hat @ exp(theta)` with theta in the body frame.  Exponential and logarithm are the
+textbook Rodrigues formulas [1]_ with series where the angle is too small to divide by.
+
+.. [1] J. Sola, J. Deray, D. Atchuthan, "A micro Lie theory for state estimation in robotics",
+   arXiv 1812.01537, 2018, eqs. (133)-(143).
+"""
+
+import numpy as np
+
+from multiimu_ros.arrays import Matrix, Vector
+from multiimu_ros.compiled import compiled
+
+SERIES_BELOW = 0.2  # [rad] below it, angle - sin(angle) has lost three digits to cancellation
+
+
+@compiled
+def _coefficients(angle: float) -> tuple[float, float, float]:
+    """Return sin(x)/x, (1 - cos(x))/x^2 and (x - sin(x))/x^3, good to 1e-14 at every x >= 0."""
+    square = angle * angle
+    if angle < SERIES_BELOW:  # the first dropped term is below 2e-17 of the first kept one
+        q = square
+        a = 1.0 - q / 6.0 * (
+            1.0 - q / 20.0 * (1.0 - q / 42.0 * (1.0 - q / 72.0 * (1.0 - q / 110.0)))
+        )
+        b = 0.5 - q / 24.0 * (
+            1.0 - q / 30.0 * (1.0 - q / 56.0 * (1.0 - q / 90.0 * (1.0 - q / 132.0)))
+        )
+        c = 1.0 - q / 20.0 * (1.0 - q / 42.0 * (1.0 - q / 72.0 * (1.0 - q / 110.0)))
+        return a, b, c / 6.0
+    sine = np.sin(angle)
+    return sine / angle, 2.0 * np.sin(0.5 * angle) ** 2 / square, (angle - sine) / (square * angle)
+
+
+@compiled
+def skew(v: Vector) -> Matrix:
+    """Return the (3, 3) matrix S of the cross product, S @ u = v x u."""
+    S = np.zeros((3, 3))
+    S[0, 1], S[0, 2], S[1, 2] = -v[2], v[1], -v[0]
+    S[1, 0], S[2, 0], S[2, 1] = v[2], -v[1], v[0]
+    return S
+
+
+@compiled
+def exp_so3(theta: Vector) -> Matrix:
+    """Return the (3, 3) rotation by the rotation vector `theta` (3,) [rad]."""
+    a, b, _ = _coefficients(np.sqrt(theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2))
+    S = skew(theta)
+    return np.eye(3) + a * S + b * (S @ S)
+
+
+@compiled
+def log_so3(R: Matrix) -> Vector:
+    """Return the rotation vector (3,) [rad] of the rotation `R` (3, 3), of angle below pi.
+
+    The axis comes from the antisymmetric part; at angles within 1e-6 of pi that part vanishes
+    and the axis is lost, so the filters, whose errors are small, are its only callers.
+    """
+    axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine = 0.5 * np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    angle = np.arctan2(sine, 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0))
+    if sine < 1e-6 and angle < 1.0:  # asin(x)/x = 1 + x^2/6 + ...
+        scale = 0.5 + sine * sine / 12.0
+    else:
+        scale = 0.5 * angle / sine
+    return np.multiply(scale, axis)
+
+
+@compiled
+def right_jacobian(theta: Vector) -> Matrix:
+    """Return J (3, 3) with exp(theta + d) = exp(theta) exp(J d) to first order in d."""
+    _, b, c = _coefficients(np.sqrt(theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2))
+    S = skew(theta)
+    return np.eye(3) - b * S + c * (S @ S)
+
+
+@compiled
+def renormalise(R: Matrix) -> Matrix:
+    """Return the nearest rotation to first order; `R` (3, 3) is orthogonal but for rounding."""
+    return 1.5 * R - 0.5 * (R @ (R.T @ R))
