@@ -61,10 +61,8 @@ def log_so3(R: Matrix) -> Vector:
     axis = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     sine = 0.5 * np.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
     angle = np.arctan2(sine, 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0))
-    if sine < 1e-6 and angle < 1.0:  # asin(x)/x = 1 + x^2/6 + ...
-        scale = 0.5 + sine * sine / 12.0
-    else:
-        scale = 0.5 * angle / sine
+    # Near zero asin(x)/x = 1 + x^2/6 + ...
+    scale = 0.5 + sine**2 / 12.0 if sine < 1e-6 and angle < 1.0 else 0.5 * angle / sine
     return np.multiply(scale, axis)
 
 
