@@ -63,7 +63,8 @@ def log_so3(R: Matrix) -> Vector:
     angle = np.arctan2(sine, 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0))
     # Near zero asin(x)/x = 1 + x^2/6 + ...
     scale = 0.5 + sine**2 / 12.0 if sine < 1e-6 and angle < 1.0 else 0.5 * angle / sine
-    return np.multiply(scale, axis)
+    theta: Vector = scale * axis
+    return theta
 
 
 @compiled
