@@ -1,0 +1,1 @@
+"""Raw readings to calibrated ones: the sensor model and what estimates it."""

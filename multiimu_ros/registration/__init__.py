@@ -1,0 +1,1 @@
+"""Sensor frames to the rig's frame: where each IMU sits, and how."""
