@@ -23,7 +23,7 @@ def mounting(imu: Imu) -> tuple[Matrix, int]:
         Added to the stamp [ns].
     """
     extrinsics = Extrinsics() if imu.extrinsics is None else imu.extrinsics
-    A = np.kron(np.eye(2), extrinsics.R_bs)
+    A = np.asarray(np.kron(np.eye(2), extrinsics.R_bs), dtype=np.float64)
     return A, round(imu.time_offset * NANOSECONDS)
 
 

@@ -1,0 +1,1 @@
+"""N registered IMUs to one."""

@@ -1,0 +1,169 @@
+"""Put K streams of samples on one clock, scan by scan, as they arrive.
+
+One stream is the reference: every one of its samples makes a scan, and the others are
+interpolated linearly to its stamp.  A scan is due when every stream that lives has reached its
+stamp.  All decisions are taken in the time of the stamps, never in the time of arrival, so that
+the same samples give the same scans in whatever order the topics are served:
+
+* a stream that stays `patience` behind the newest stamp is absent, and no longer waited for;
+  if it was the reference, the next living stream takes over, and no scan is lost;
+* between two samples further apart than 3 periods nothing is interpolated: the scan has NaN there;
+* a stream that returns from an outage is given but not trusted for `probation`: its share is 0,
+  then grows to 1 over the same time again, so that nothing downstream sees a step;
+* NaN, backward stamps and frozen readings never enter; they are counted per stream.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from multiimu_ros.arrays import NANOSECONDS, Scalars, Vectors
+from multiimu_ros.synchronization import streams as s
+
+
+@dataclass(frozen=True, kw_only=True)
+class SyncConfig:
+    """Settings of the synchroniser.
+
+    Parameters
+    ----------
+    patience_s : float
+        How far one stream may stay behind the newest stamp before it counts as absent [s].
+    start_patience_s : float
+        The same for streams that never said anything, at the start [s].
+    probation_s : float
+        How long a stream that returns is watched before its share grows [s].
+    jump_s : float
+        A stamp this far behind its predecessor means that time itself jumped back, as when a
+        recording starts again [s].
+    """
+
+    patience_s: float = 0.05
+    start_patience_s: float = 0.5
+    probation_s: float = 0.25
+    jump_s: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not value > 0:  # also catches NaN
+                msg = f'`{name}` must be positive, got {value}.'
+                raise ValueError(msg)
+
+
+@dataclass(frozen=True)
+class Scan:
+    """All readings of one instant.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        The instant [ns].
+    values : (K, 6) array
+        Angular rate [rad/s] and specific force [m/s^2] of each IMU, NaN where it has none.
+    share : (K,) array
+        0 while an IMU is on probation, 1 once it is trusted [-].
+    """
+
+    stamp_ns: int
+    values: Vectors
+    share: Scalars
+
+
+@dataclass(frozen=True)
+class StreamHealth:
+    """What became of one stream: its state in one word, and its counters."""
+
+    state: str
+    rate_hz: float
+    received: int
+    backward: int
+    invalid: int
+    stuck: int
+    gaps: int
+
+
+class Synchronizer:
+    """K streams in, scans out.
+
+    Parameters
+    ----------
+    count : int
+        Number of streams K.
+    config : SyncConfig
+        Patience and probation.
+    """
+
+    def __init__(self, count: int, config: SyncConfig | None = None) -> None:
+        self._config = SyncConfig() if config is None else config
+        self._settings = np.array(
+            [round(value * NANOSECONDS) for value in vars(self._config).values()], dtype=np.int64
+        )
+        self._stamps = np.zeros((count, s.RING), dtype=np.int64)
+        self._values = np.zeros((count, s.RING, 6))
+        self._sample = np.zeros(6)
+        self._table = np.zeros((count, s.COLUMNS), dtype=np.int64)
+        self._clock = np.zeros(s.CLOCK_FIELDS, dtype=np.int64)
+        self._out = np.zeros((count, 7))
+        self._table[:, s.ENABLED] = 1
+        self.time_jumps = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget all samples, keep the counters: the next stamp may be anything."""
+        s.restart(self._table, self._clock)
+
+    def push(self, stream: int, stamp_ns: int, values: Sequence[float]) -> list[Scan]:
+        """Take one reading (6 numbers, rate then force); return the scans that became due."""
+        self._sample[:] = values
+        verdict = s.take(
+            self._stamps, self._values, self._table, self._clock, self._settings,
+            stream, stamp_ns, self._sample,
+        )  # fmt: skip
+        if verdict == s.TAKEN:
+            return self._due()
+        if verdict == s.JUMPED:
+            self.time_jumps += 1
+            self.restart()
+            return self.push(stream, stamp_ns, values)
+        return []
+
+    def _due(self) -> list[Scan]:
+        scans: list[Scan] = []
+        while True:
+            stamp_ns = s.advance(
+                self._stamps, self._values, self._table, self._clock, self._settings, self._out
+            )
+            if stamp_ns == s.NOT_DUE:
+                return scans
+            scans.append(Scan(int(stamp_ns), self._out[:, :6].copy(), self._out[:, 6].copy()))
+
+    def set_enabled(self, stream: int, enabled: bool) -> None:
+        """Exclude a stream by hand, or take it back (on probation)."""
+        self._table[stream, s.ENABLED] = enabled
+        self._table[stream, s.USABLE_FROM] = (
+            self._clock[s.NEWEST] + self._settings[s.PROBATION] if enabled else 0
+        )
+
+    def health(self) -> tuple[StreamHealth, ...]:
+        """Return the state and the counters of every stream."""
+        return tuple(self._health(row) for row in self._table.tolist())
+
+    def _health(self, row: list[int]) -> StreamHealth:
+        if not row[s.ENABLED]:
+            state = 'disabled'
+        elif not row[s.WAITED] or row[s.FAULT]:
+            state = ('absent', 'invalid', 'stuck')[row[s.FAULT]]
+        elif row[s.USABLE_FROM] > self._clock[s.NEWEST]:
+            state = 'probation'
+        else:
+            state = 'ok' if row[s.RECEIVED] else 'absent'
+        return StreamHealth(
+            state=state,
+            rate_hz=NANOSECONDS / row[s.PERIOD] if row[s.PERIOD] else 0.0,
+            received=row[s.RECEIVED],
+            backward=row[s.BACKWARD],
+            invalid=row[s.INVALID],
+            stuck=row[s.STUCK],
+            gaps=row[s.GAPS],
+        )
