@@ -1,0 +1,64 @@
+# `make help` says what there is.  The first call of anything builds the virtual environment.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+PYTEST := $(BIN)/python -m pytest
+
+# Everything stays on loopback, and each run of a test is the same run.
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+export HYPOTHESIS_PROFILE ?= ci
+
+# Coverage cannot see compiled kernels, so the tests of these packages run once more as plain
+# Python, without what takes long or needs ROS.
+KERNELS := $(wildcard test/test_rotations.py test/calibration test/registration \
+	test/synchronization test/fusion test/odometry test/wire test/pipeline)
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test check static bench clean
+
+help:  ## say what there is
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
+
+install: $(READY)  ## build the virtual environment in $(VENV)
+
+demo: $(READY)  ## eight emulated IMUs become one: live table, HTML report
+	$(BIN)/multiimu demo
+
+test: static  ## everything: linters, types, imports, all tests with branch coverage
+	@rm -f .coverage
+	@echo '== 1/3 core, compiled, two at a time'
+	$(PYTEST) -n 2 --cov --cov-report= -m 'not ros'
+	@echo '== 2/3 rim: real nodes and processes, one at a time'
+	$(PYTEST) --cov --cov-append --cov-report= -m ros
+	@echo '== 3/3 kernels as plain Python, for coverage'
+	MULTIIMU_COMPILED=0 $(PYTEST) -n 2 --cov --cov-append --cov-report= \
+		-m 'not ros and not slow and not realdata' $(KERNELS)
+	$(BIN)/python -m coverage report --skip-covered
+
+check: static  ## the four of pre-commit, with the quick tests only
+	$(PYTEST) -n 2 -m 'not ros and not slow and not realdata'
+
+static: $(READY)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(READY)  ## microseconds per fused frame; latency and CPU of the live graph
+	$(BIN)/multiimu bench
+
+clean:  ## remove the virtual environment and everything that was built
+	rm -rf $(VENV) build install log out *.egg-info .coverage .pytest_cache .mypy_cache \
+		.ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+$(READY): requirements.txt requirements-dev.txt setup.py
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' || \
+		{ echo 'Python 3.11 or 3.12 is needed: say `make PYTHON=/path/to/python3.12`.'; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || \
+		{ echo 'Install the venv module: `apt-get install python3-venv`.'; exit 1; }
+	$(BIN)/python -m pip install --quiet -r requirements-dev.txt
+	$(BIN)/python -m pip install --quiet --no-build-isolation --no-deps --editable .
+	@touch $@
