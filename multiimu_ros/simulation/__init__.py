@@ -1,0 +1,1 @@
+"""Truth to bytes: motions, IMU errors, placements, recordings and an emulated board."""
