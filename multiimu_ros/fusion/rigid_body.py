@@ -7,8 +7,8 @@ An accelerometer at r feels
 with f_0 at the base origin, rate w and angular acceleration a = dw/dt.  "The translation component
 cancels out" (TUM 2.2.2) only where the weighted mean of the lever arms is zero: at 8 cm and
 3 rad/s rms one IMU is off by 1.7 m/s^2.  The angular acceleration is the slope at the newest end
-of a parabola through the last 20 ms of the fused rate (Savitzky-Golay [1]_, with the stamps as they
-are): no lag to first order, and less noise than a difference of two samples.
+of a parabola through the last 20 ms of the fused rate (Savitzky-Golay [1]_, on the stamps as
+they are): no lag to first order, and less noise than a difference of two samples.
 
 .. [1] A. Savitzky, M. Golay, "Smoothing and differentiation of data by simplified least squares
    procedures", Anal. Chem. 36(8), 1964.
@@ -16,7 +16,7 @@ are): no lag to first order, and less noise than a difference of two samples.
 
 import numpy as np
 
-from multiimu_ros.arrays import Matrix, Scalars, Vector, Vectors
+from multiimu_ros.arrays import Matrix, Scalars, Stamps, Vector, Vectors
 from multiimu_ros.compiled import compiled
 
 SLOPE_WINDOW = 0.02  # [s]
@@ -27,7 +27,7 @@ HISTORY = 64  # samples kept: the window at up to 3 kHz
 def lever_arm_matrix(angular_rate: Vector, angular_acceleration: Vector) -> Matrix:
     """Return L (3, 3) with f(r) - f_0 = L @ r; L = [a]x + [w]x [w]x."""
     w, a = angular_rate, angular_acceleration
-    L = np.outer(w, w) - np.dot(w, w) * np.eye(3)
+    L: Matrix = np.outer(w, w) - (w * w).sum() * np.eye(3)
     L[0, 1] -= a[2]
     L[0, 2] += a[1]
     L[1, 0] += a[2]
@@ -60,17 +60,18 @@ def specific_force_at(
 
 
 @compiled
-def end_slope(ages: Scalars, values: Vectors) -> Vector:
+def end_slope(ages: Scalars, values: Vectors) -> tuple[Vector, float]:
     """Return the slope at age 0 of the parabola fitted to `values` (M, 3) at `ages` (M,) <= 0 [s].
 
-    Fewer than three samples are no parabola: two give their difference, one gives zero.
+    The second number is the variance of the slope per variance of one value [1/s^2].  Fewer than
+    three samples are no parabola: two give their difference, one gives zero, known not at all.
     """
     count = len(ages)
-    if count < 2 or ages[0] == ages[count - 1]:
-        return np.zeros(3)
+    if count < 2:
+        return np.zeros(3), np.inf
     if count == 2:
-        difference: Vector = (values[1] - values[0]) / (ages[1] - ages[0])
-        return difference
+        interval = ages[1] - ages[0]
+        return (values[1] - values[0]) / interval, 2.0 / interval**2
     t = ages / -ages.min()  # the moments are then of order 1
     q = t * t
     s0, s1, s2, s3, s4 = float(count), t.sum(), q.sum(), (q * t).sum(), (q * q).sum()
@@ -82,27 +83,20 @@ def end_slope(ages: Scalars, values: Vectors) -> Vector:
     slope = np.zeros(3)
     for k in range(count):
         slope += weights[k] * values[k]
-    return slope
-
-
-class AngularAcceleration:
-    """The same slope on a live stream of fused rates."""
-
-    def __init__(self) -> None:
-        self._stamps = np.zeros(HISTORY, dtype=np.int64)
-        self._rates = np.zeros((HISTORY, 3))
-        self._count = np.zeros(1, dtype=np.int64)
-
-    def push(self, stamp_ns: int, angular_rate: Vector) -> Vector:
-        """Add a rate (3,) [rad/s]; return the angular acceleration (3,) at it [rad/s^2]."""
-        return push_slope(self._stamps, self._rates, self._count, stamp_ns, angular_rate)
+    return slope, (weights * weights).sum()
 
 
 @compiled
 def push_slope(
-    stamps: Scalars, rates: Vectors, count: Scalars, stamp: int, angular_rate: Vector
-) -> Vector:
-    """Shift a sample into the history and fit the slope over the window that ends with it."""
+    stamps: Stamps, rates: Vectors, count: Stamps, stamp: int, angular_rate: Vector
+) -> tuple[Vector, float]:
+    """Shift a rate into the history (HISTORY samples, `count` (1,) of them valid); fit its slope.
+
+    Returns
+    -------
+    (3,) array, float
+        Angular acceleration at `stamp` [rad/s^2] and the gain of `end_slope` [1/s^2].
+    """
     stamps[:-1] = stamps[1:]
     rates[:-1] = rates[1:]
     stamps[-1] = stamp
@@ -115,4 +109,5 @@ def push_slope(
         if age > SLOPE_WINDOW and (HISTORY - first >= 3 or age > 3.0 * SLOPE_WINDOW):
             break
         first -= 1
-    return end_slope((stamps[first:] - stamp) * 1e-9, rates[first:])
+    ages = (stamps[first:] - stamp).astype(np.float64) * 1e-9
+    return end_slope(ages, rates[first:])

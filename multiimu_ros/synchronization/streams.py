@@ -171,7 +171,7 @@ def _next_stamp(stamps: Stamps, table: Stamps, clock: Stamps, settings: Stamps) 
                 index += 1
             if index < row[WRITTEN]:
                 return int(stamps[k, index % RING])
-        silent_since = max(max(row[LATEST], clock[LAST_SCAN]), clock[STARTED])
+        silent_since = max(row[LATEST], clock[LAST_SCAN], clock[STARTED])
         if row[ENABLED] == 1 and not _is_overdue(row, clock, silent_since, settings):
             return NOT_DUE
         clock[REFERENCE] = (k + 1) % len(table)

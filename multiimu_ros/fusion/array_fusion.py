@@ -1,0 +1,241 @@
+"""Scans of K registered IMUs to one angular rate and one specific force, with honest variances.
+
+Per scan: the federated filter fuses the rates; their slope is the angular acceleration; the lever
+arms are taken out of the forces; the federated filter fuses those.
+
+Alignment.  What two IMUs disagree on at all times is a difference of their biases.  Each IMU
+therefore carries an offset e_i, the slow mean of z_i - fused, which is subtracted before fusion.
+As sum b_i e_i = 0 the fused value is that of the plain weighted mean; but when an IMU leaves or
+returns, nothing moves, for the others already agree with it.  The common bias, which no array can
+see, is left to the rest updates of the attitude filter.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from multiimu_ros.arrays import Scalars, Stamps, Vector, Vectors
+from multiimu_ros.compiled import compiled
+from multiimu_ros.fusion.federated import federated_step, information_shares
+from multiimu_ros.fusion.rig_model import RigModel
+from multiimu_ros.fusion.rigid_body import HISTORY, lever_arm_matrix, push_slope
+from multiimu_ros.synchronization.synchronizer import Scan
+
+ALIGNMENT_TIME = 2.0  # [s] long against vibration, short against a warming sensor's drift
+STARTING_PERIOD = 0.005  # [s] believed for the first two scans only
+PERIOD_MEMORY = 64  # scans that the running mean of the period looks back
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArrayFusionConfig:
+    """How the rig may move between two scans: the process noise of the common state.
+
+    Parameters
+    ----------
+    angular_acceleration_sigma : float
+        Typical angular acceleration [rad/s^2].
+    jerk_sigma : float
+        Typical change of specific force [m/s^3].
+    """
+
+    angular_acceleration_sigma: float
+    jerk_sigma: float
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not value > 0:  # also catches NaN
+                msg = f'`{name}` must be positive, got {value}.'
+                raise ValueError(msg)
+
+
+@dataclass(frozen=True)
+class FusedImu:
+    """One reading of the virtual IMU at the base origin.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Instant of the measurement [ns].
+    values, variance : (6,) arrays
+        Angular rate [rad/s] and specific force [m/s^2], and their variances without the common
+        bias.
+    bias_variance : (6,) array
+        Prior variance of the common bias.
+    density : (6,) array
+        White noise density [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
+    weights : (K,) array
+        Mean share of each IMU in the fused rate, 0 for those left out [-].
+    """
+
+    stamp_ns: int
+    values: Vector
+    variance: Vector
+    bias_variance: Vector
+    density: Vector
+    weights: Scalars
+
+
+class _State(NamedTuple):
+    """What the fusion stage remembers between scans; arrays, changed in place."""
+
+    fused: Vectors  # (2, 6): values and variance
+    offsets: Vectors  # (K, 6): e_i
+    trust: Vectors  # (2, K): scans averaged into each offset; share in the last scan
+    stamps: Stamps  # (HISTORY,) of the fused rates, for their slope
+    rates: Vectors  # (HISTORY, 3)
+    scans: Stamps  # (1,): how many of them are valid
+    period: Scalars  # (1,): mean time between scans [s]
+
+
+class ArrayFusion:
+    """The fusion stage on a live stream of scans.
+
+    Parameters
+    ----------
+    model : RigModel
+        Noise, uncertainty and lever arm of every IMU, in the base frame.
+    config : ArrayFusionConfig
+        Process noise.
+    """
+
+    def __init__(self, model: RigModel, config: ArrayFusionConfig) -> None:
+        self._model = model
+        self._motion = np.repeat([config.angular_acceleration_sigma, config.jerk_sigma], 3)
+        count = len(model.density)
+        self._state = _State(
+            np.zeros((2, 6)), np.zeros((count, 6)), np.zeros((2, count)),
+            np.zeros(HISTORY, np.int64), np.zeros((HISTORY, 3)), np.zeros(1, np.int64),
+            np.zeros(1),
+        )  # fmt: skip
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the motion (time jumped); keep the alignment of the IMUs."""
+        self._state.fused[0] = 0.0
+        self._state.fused[1] = np.inf
+        self._state.scans[0] = 0
+        self._state.period[0] = 0.0
+
+    @property
+    def offsets(self) -> Vectors:
+        """Bias of each IMU (K, 6) relative to the fused one [rad/s], [m/s^2]."""
+        return self._state.offsets.copy()
+
+    def push(self, scan: Scan) -> FusedImu | None:
+        """Fuse one scan; None if no IMU can be trusted in it."""
+        out, weights = fuse_scan(
+            self._model, self._state, self._motion, scan.stamp_ns, scan.values, scan.share
+        )
+        if np.isnan(out[0, 0]):
+            return None
+        return FusedImu(scan.stamp_ns, out[0], out[1], out[2], out[3], weights)
+
+
+@compiled
+def fuse_scan(
+    model: RigModel, state: _State, motion: Vector, stamp: int, values: Vectors, share: Scalars
+) -> tuple[Vectors, Scalars]:
+    """Fuse one scan; the state moves on in place.
+
+    Returns
+    -------
+    (4, 6) array
+        Fused values, their variance, prior variance of the common bias, noise density; NaN if
+        no IMU can be trusted.
+    (K,) array
+        Mean share of each IMU in the fused rate.
+    """
+    dt = _follow_time(state, stamp)
+    R = _noise_of_one_scan(model.density, values, share, state.period[0])
+    b = information_shares(R)
+    Q = (motion * dt) ** 2
+    z = values - state.offsets
+    known, variance = state.fused
+    rate, P = federated_step(known[:3], variance[:3], z[:, :3], R[:, :3], Q[:3], b[:, :3])
+    known[:3], variance[:3] = rate, P
+    acceleration, gain = push_slope(state.stamps, state.rates, state.scans, stamp, rate)
+    L = lever_arm_matrix(rate, acceleration)
+    mean_arm = np.zeros(3)
+    for i in range(len(z)):
+        arm = model.lever_arms_b[i]
+        for row in range(3):
+            z[i, 3 + row] -= L[row, 0] * arm[0] + L[row, 1] * arm[1] + L[row, 2] * arm[2]
+            mean_arm[row] += b[i, 3 + row] * arm[row]
+    known[3:], variance[3:] = federated_step(
+        known[3:], variance[3:], z[:, 3:], R[:, 3:], Q[3:], b[:, 3:]
+    )
+    out = np.zeros((4, 6))
+    out[0], out[1] = known, variance
+    if np.isfinite(gain):  # a x r errs with the variance of the angular acceleration
+        out[1, 3:] += gain * P.max() * (mean_arm * mean_arm).sum()
+    _align(model, state, z, b, dt, share, out)
+    weights = (b[:, 0] + b[:, 1] + b[:, 2]) / 3.0
+    if not weights.any():
+        out[:] = np.nan
+    state.trust[1] = share
+    return out, weights
+
+
+@compiled
+def _follow_time(state: _State, stamp: int) -> float:
+    """Return the time since the last scan [s], and follow the mean period."""
+    if state.scans[0] == 0:
+        return STARTING_PERIOD
+    dt = (stamp - state.stamps[-1]) * 1e-9
+    if state.period[0] == 0.0:
+        state.period[0] = dt
+    # A hole in the stream is no change of rate: it counts as ten periods at most.
+    state.period[0] += (min(dt, 10.0 * state.period[0]) - state.period[0]) / PERIOD_MEMORY
+    return float(dt)
+
+
+@compiled
+def _noise_of_one_scan(
+    density: Vectors, values: Vectors, share: Scalars, period: float
+) -> Vectors:
+    """Return R (K, 6) = density^2 / period; infinite without a reading, larger on probation."""
+    R = np.full_like(density, np.inf)
+    interval = period if period > 0.0 else STARTING_PERIOD
+    for i in range(len(R)):
+        if share[i] > 0.0 and not np.isnan(values[i, 0]):
+            R[i] = density[i] ** 2 / (interval * share[i])
+    return R
+
+
+@compiled
+def _align(
+    model: RigModel, state: _State, z: Vectors, b: Vectors, dt: float, share: Scalars, out: Vectors
+) -> None:
+    """Move the offsets towards what each IMU shows beside the rest; add up what stays unknown.
+
+    A disagreement in motion is partly one of scale, so it moves the offset by the part of its
+    variance that is the bias's.
+    """
+    square = out[0] ** 2
+    mean = np.zeros(6)
+    for i in range(len(z)):
+        for axis in range(6):
+            if b[i, axis] > 0.0:
+                mean[axis] += b[i, axis] * z[i, axis]
+    for i in range(len(z)):
+        if np.isnan(z[i, 0]):
+            continue
+        if share[i] == 0.0 and state.trust[1, i] > 0.0:
+            state.trust[0, i] = 0.0  # back from an outage, perhaps with another bias
+        state.trust[0, i] += 1.0
+        gain = max(min(dt / ALIGNMENT_TIME, 1.0), 1.0 / state.trust[0, i])
+        for axis in range(6):
+            block = 3 * (axis // 3)
+            from_scale = 0.0
+            for other in range(block, block + 3):
+                from_scale += model.scale_variance[i, axis, other] * square[other]
+            bias = model.bias_variance[i, axis]
+            part = b[i, axis] ** 2
+            out[1, axis] += part * from_scale
+            out[2, axis] += part * bias
+            out[3, axis] += part * model.density[i, axis] ** 2
+            if bias > 0.0:
+                trusted = gain * bias / (bias + from_scale)
+                state.offsets[i, axis] += trusted * (z[i, axis] - mean[axis])
+    out[3] = np.sqrt(out[3])

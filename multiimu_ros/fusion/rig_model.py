@@ -1,0 +1,128 @@
+"""What the rig file says about K IMUs, as arrays in the base frame, for the fusion stage."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multiimu_ros.arrays import Matrix, Vector, Vectors
+from multiimu_ros.rig import (
+    Extrinsics,
+    Imu,
+    Intrinsics,
+    Noise,
+    NOMINAL_BIAS_SIGMA,
+    NOMINAL_NOISE,
+    NOMINAL_SCALE_SIGMA,
+    PerTriad,
+    Rig,
+    Triad,
+)
+
+NOMINAL_ANGLE_SIGMA = 0.01  # [rad] an IMU soldered and mounted by hand, not registered
+
+
+class RigModel(NamedTuple):
+    """Columns are base-frame axes, rate then force; a NamedTuple, for the compiled kernels.
+
+    Parameters
+    ----------
+    density : (K, 6) array
+        White noise density [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
+    bias_variance : (K, 6) array
+        Variance of the bias that calibration left [(rad/s)^2], [(m/s^2)^2].
+    scale_variance : (K, 6, 6) array
+        Variance of each reading per squared true reading: scale, misalignment, mounting [-].
+    lever_arms_b : (K, 3) array
+        Sensor origins [m].
+    """
+
+    density: Vectors
+    bias_variance: Vectors
+    scale_variance: Matrix
+    lever_arms_b: Vectors
+
+
+def rig_model(rig: Rig) -> RigModel:
+    """Collect what the fusion stage must know; blocks that are absent count as nominal."""
+    return RigModel(
+        np.sqrt(np.stack([_rotated(imu, _density(imu) ** 2) for imu in rig.imus])),
+        np.stack([_rotated(imu, _bias_variance(imu)) for imu in rig.imus]),
+        np.stack([_scale_variance(imu) for imu in rig.imus]),
+        np.stack([_extrinsics(imu).lever_arm_b for imu in rig.imus]),
+    )
+
+
+def bias_walk_density(rig: Rig) -> Vector:
+    """Return the driving noise (6,) of the fused bias: that of the mean of K independent walks."""
+    walks = np.stack([_rotated(imu, _walk(imu) ** 2) for imu in rig.imus])
+    return np.asarray(np.sqrt(walks.sum(axis=0)) / len(walks))
+
+
+def _six(figure: PerTriad) -> Vector:
+    return np.array([*figure.gyroscope, *figure.accelerometer])
+
+
+def _extrinsics(imu: Imu) -> Extrinsics:
+    return Extrinsics() if imu.extrinsics is None else imu.extrinsics
+
+
+def _noise(imu: Imu) -> Noise:
+    return NOMINAL_NOISE if imu.noise is None else imu.noise
+
+
+def _density(imu: Imu) -> Vector:
+    return _six(_noise(imu).noise_density)
+
+
+def _walk(imu: Imu) -> Vector:
+    walk = _noise(imu).bias_random_walk or NOMINAL_NOISE.bias_random_walk
+    assert walk is not None  # the nominal model is complete
+    return _six(walk)
+
+
+def _rotated(imu: Imu, variance: Vector) -> Vector:
+    """Return the base-frame variances (6,) of independent sensor-frame ones (6,)."""
+    square = _extrinsics(imu).R_bs ** 2
+    return np.concatenate([square @ variance[:3], square @ variance[3:]])
+
+
+def _bias_variance(imu: Imu) -> Vector:
+    """Return the variance of what calibration left of the bias, drift since then included."""
+    instability = _noise(imu).bias_instability
+    drift = np.zeros(6) if instability is None else _six(instability)
+    intrinsics = Intrinsics() if imu.intrinsics is None else imu.intrinsics
+    triads = (intrinsics.gyroscope, intrinsics.accelerometer)
+    nominal = (NOMINAL_BIAS_SIGMA.gyroscope, NOMINAL_BIAS_SIGMA.accelerometer)
+    sigma = np.concatenate(
+        [known if triad.bias_sigma is None else triad.bias_sigma
+         for triad, known in zip(triads, nominal, strict=True)]
+    )  # fmt: skip
+    return np.asarray(sigma**2 + drift**2)
+
+
+def _scale_variance(imu: Imu) -> Matrix:
+    intrinsics = Intrinsics() if imu.intrinsics is None else imu.intrinsics
+    square = _extrinsics(imu).R_bs ** 2
+    variance = np.zeros((6, 6))
+    for block, triad, nominal in (
+        (slice(0, 3), intrinsics.gyroscope, NOMINAL_SCALE_SIGMA.gyroscope),
+        (slice(3, 6), intrinsics.accelerometer, NOMINAL_SCALE_SIGMA.accelerometer),
+    ):
+        variance[block, block] = square @ _triad_variance(triad, nominal) @ square.T
+        variance[block, block] += _mounting_variance(_extrinsics(imu))
+    return variance
+
+
+def _triad_variance(triad: Triad, nominal_scale_sigma: tuple[float, ...]) -> Matrix:
+    scale_sigma = nominal_scale_sigma if triad.scale_sigma is None else triad.scale_sigma
+    variance = np.diag(np.square(scale_sigma))
+    if triad.misalignment_sigma is not None:
+        variance += np.square(triad.misalignment_sigma)
+    return variance
+
+
+def _mounting_variance(extrinsics: Extrinsics) -> Matrix:
+    """Return the variance of axis a per squared reading of axis c when the mounting is tilted."""
+    sigma = extrinsics.rotation_sigma
+    x, y, z = np.square((NOMINAL_ANGLE_SIGMA,) * 3 if sigma is None else sigma)
+    return np.array([[0.0, z, y], [z, 0.0, x], [y, x, 0.0]])
