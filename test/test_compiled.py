@@ -1,0 +1,55 @@
+"""The switch: compiled where numba is, plain where it is not or not wanted, equal either way."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from multiimu_ros import compiled
+
+# A kernel of every sort, run in a process of its own because the switch is read at import.
+PROBE = """
+import json, sys
+if 'hide' in sys.argv:
+    sys.modules['numba'] = None
+import numpy as np
+from multiimu_ros import compiled, rotations
+theta = np.array([0.3, -0.7, 1.1])
+R = rotations.exp_so3(theta)
+answers = [R, rotations.log_so3(R), rotations.right_jacobian(theta), rotations.renormalise(R)]
+print(json.dumps([compiled.COMPILED, [a.tolist() for a in answers]]))
+"""
+
+
+def probe(switch, *arguments):
+    """Return whether a new process compiles under `switch`, and what its kernels answer."""
+    environment = os.environ | {'MULTIIMU_COMPILED': switch}
+    command = [sys.executable, '-c', PROBE, *arguments]
+    run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    return json.loads(run.stdout)
+
+
+def test_compiled_and_plain_kernels_agree():
+    (on, fast), (off, plain) = probe('1'), probe('0')
+    assert (on, off) == (True, False)
+    for one, other in zip(fast, plain, strict=True):
+        # The compiler may fuse a multiplication and an addition: rounding, no more.
+        assert_allclose(one, other, rtol=1e-12, atol=1e-15)
+
+
+def test_without_numba_the_kernels_run_as_they_stand():
+    assert probe('1', 'hide')[0] is False
+
+
+@pytest.mark.skipif(compiled.COMPILED, reason='the switch is on in this run')
+def test_off_returns_the_function_itself():
+    assert compiled.compiled(np.sum) is np.sum
+
+
+@pytest.mark.skipif(not compiled.COMPILED, reason='the switch is off in this run')
+def test_on_returns_a_dispatcher_that_keeps_the_plain_function():
+    assert compiled.compiled(probe).py_func is probe
