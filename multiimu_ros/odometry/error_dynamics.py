@@ -1,0 +1,198 @@
+"""Compiled kernels of the 15-state error-state filter; `error_state.py` tells the idea.
+
+State x (15,) is (position, velocity, unused, gyro bias, accel bias) with the attitude apart in
+R (3, 3); the error has the attitude in the unused slot.  Equations and their numbers are those
+of docs/derivations/error_state.md.
+"""
+
+import numpy as np
+
+from multiimu_ros.arrays import Matrix, Vector
+from multiimu_ros.compiled import compiled
+from multiimu_ros.odometry.attitude import GAP, level
+from multiimu_ros.odometry.kalman import scalar_update, transform_block, white_equivalent
+from multiimu_ros.odometry.strapdown import increments
+from multiimu_ros.rotations import exp_so3, renormalise, right_jacobian, skew
+
+
+@compiled
+def transition(R: Matrix, phi: Vector, dv: Vector, dp: Vector, dt: float) -> Matrix:
+    """Return F (15, 15) of one strapdown step (error_state.md (3)).
+
+    Parameters
+    ----------
+    R : (3, 3) array
+        Attitude at the start of the step.
+    phi, dv, dp : (3,) arrays
+        Its increments, from `strapdown.increments`.
+    dt : float
+        Its length [s].
+    """
+    F = np.eye(15)
+    turn = skew(phi)
+    for i in range(3):
+        F[i, 3 + i] = dt
+    F[0:3, 6:9] = -(R @ skew(dp))
+    F[0:3, 9:12] = dt * dt / 6.0 * (R @ skew(dv))
+    F[0:3, 12:15] = -0.5 * dt * dt * (R + (R @ turn) / 3.0)
+    F[3:6, 6:9] = -(R @ skew(dv))
+    F[3:6, 9:12] = 0.5 * dt * (R @ skew(dv))
+    F[3:6, 12:15] = -dt * (R @ right_jacobian(-phi))
+    F[6:9, 6:9] = exp_so3(-phi)
+    F[6:9, 9:12] = -dt * right_jacobian(phi)
+    return F
+
+
+@compiled
+def _add_noise(
+    P: Matrix, R: Matrix, rate_psd: Vector, force_psd: Vector, walks: Vector, dt: float
+) -> None:
+    """Add what a step's white noises and bias walks do (error_state.md (5))."""
+    for i in range(3):
+        for j in range(3):
+            psd = 0.0
+            for k in range(3):
+                psd += R[i, k] * R[j, k] * force_psd[k]
+            P[i, j] += psd * dt**3 / 3.0
+            P[i, 3 + j] += psd * dt**2 / 2.0
+            P[3 + i, j] += psd * dt**2 / 2.0
+            P[3 + i, 3 + j] += psd * dt
+        P[6 + i, 6 + i] += rate_psd[i] * dt + walks[i] * dt**3 / 3.0
+        P[6 + i, 9 + i] -= walks[i] * dt**2 / 2.0
+        P[9 + i, 6 + i] -= walks[i] * dt**2 / 2.0
+        P[9 + i, 9 + i] += walks[i] * dt
+        P[12 + i, 12 + i] += walks[3 + i] * dt
+
+
+@compiled
+def _move(
+    x: Vector,
+    R: Matrix,
+    P: Matrix,
+    rate0: Vector,
+    force0: Vector,
+    rate1: Vector,
+    force1: Vector,
+    dt: float,
+    gravity: float,
+) -> None:
+    """Advance the state x (15,) = (p, v, -, gyro bias, accel bias), R and P by one step."""
+    phi, dv, dp = increments(
+        rate0 - x[9:12], force0 - x[12:15], rate1 - x[9:12], force1 - x[12:15], dt
+    )
+    F = transition(R, phi, dv, dp, dt)
+    P[:] = F @ P @ F.T
+    x[0:3] += dt * x[3:6] + R @ dp
+    x[3:6] += R @ dv
+    x[2] -= 0.5 * gravity * dt * dt
+    x[5] -= gravity * dt
+    R[:] = renormalise(R @ exp_so3(phi))
+
+
+@compiled
+def _update_direct(
+    error: Vector, P: Matrix, first: int, residual: Vector, variance: Vector
+) -> None:
+    """Correct by a direct measurement of three states, of which `first` is the first."""
+    for axis in range(3):
+        h = np.zeros(15)
+        h[first + axis] = 1.0
+        scalar_update(error, P, h, residual[axis], variance[axis], 15)
+
+
+@compiled
+def _update_gravity(
+    error: Vector, P: Matrix, R: Matrix, residual: Vector, variance: Vector, gravity: float
+) -> None:
+    """Correct by force = R' g + accel bias + noise."""
+    h = np.zeros((3, 15))
+    h[:, 6:9] = skew(gravity * R[2])
+    for axis in range(3):
+        h[axis, 12 + axis] = 1.0
+        scalar_update(error, P, h[axis], residual[axis], variance[axis], 15)
+
+
+@compiled
+def _inject(x: Vector, R: Matrix, P: Matrix, error: Vector) -> None:
+    """Move the estimated error into the state (error_state.md (8))."""
+    x += error
+    x[6:9] = 0.0
+    R[:] = renormalise(R @ exp_so3(error[6:9]))
+    transform_block(P, right_jacobian(error[6:9]), 6)
+
+
+@compiled
+def _zero_velocity(x: Vector, R: Matrix, P: Matrix, variance: float) -> None:
+    error = np.zeros(15)
+    _update_direct(error, P, 3, -x[3:6], np.full(3, variance))
+    _inject(x, R, P, error)
+
+
+@compiled
+def _hold(x: Vector, P: Matrix, variance: float) -> None:
+    """Set the velocity to zero, but for a tremor of `variance` that no other state shares."""
+    x[3:6] = 0.0
+    P[3:6, :] = 0.0
+    P[:, 3:6] = 0.0
+    for i in range(3, 6):
+        P[i, i] = variance
+
+
+@compiled
+def align(
+    x: Vector, R: Matrix, P: Matrix, force: Vector, variance: Vector, gravity: float
+) -> None:
+    """Level the attitude by a force whose noise and motion have `variance` (3,)."""
+    corrected = force - x[12:15]
+    R[:] = level(corrected)
+    P[6:9, :] = 0.0
+    P[:, 6:9] = 0.0
+    for i in range(3):  # a tilt of 1 rad is no knowledge; yaw is zero by definition
+        for j in range(3):
+            P[6 + i, 6 + j] = (1.0 if i == j else 0.0) - R[2, i] * R[2, j]
+    # `level` leaves no residual but in the length, which speaks of the bias alone.
+    error = np.zeros(15)
+    _update_gravity(error, P, R, corrected - gravity * R[2], variance, gravity)
+    _inject(x, R, P, error)
+
+
+@compiled
+def step(
+    x: Vector,
+    R: Matrix,
+    P: Matrix,
+    memory: Vector,
+    settings: Vector,
+    dt: float,
+    rate: Vector,
+    force: Vector,
+    rate_density: Vector,
+    force_density: Vector,
+    still: bool,
+    resting: bool,
+) -> None:
+    """Take one sample; `memory` (7,) is the previous rate and force, and whether it rested."""
+    gravity, velocity_sigma, velocity_time, resting_velocity, resting_walk = settings[:5]
+    walks = settings[9:15] ** 2
+    if resting:
+        if memory[6] == 0.0:  # the last of what the velocity tells about the other states
+            _zero_velocity(x, R, P, white_equivalent(resting_velocity, velocity_time, dt))
+        _hold(x, P, resting_velocity**2)
+        _add_noise(P, R, np.full(3, resting_walk**2), np.zeros(3), walks, dt)
+        error = np.zeros(15)
+        _update_direct(error, P, 9, rate - x[9:12], rate_density**2 / dt)
+        residual = force - x[12:15] - gravity * R[2]
+        _update_gravity(error, P, R, residual, force_density**2 / dt, gravity)
+        _inject(x, R, P, error)
+    else:
+        hidden = max(0.0, dt - GAP) ** 2 / dt
+        rate_psd = rate_density**2 + hidden * settings[5] ** 2
+        force_psd = force_density**2 + hidden * settings[6] ** 2
+        rate_psd = rate_psd + settings[7] ** 2 * np.sum((rate - x[9:12]) ** 2) * dt
+        force_psd = force_psd + settings[8] ** 2 * np.sum((force - gravity * R[2]) ** 2) * dt
+        R0 = R.copy()
+        _move(x, R, P, memory[:3], memory[3:6], rate, force, dt, gravity)
+        _add_noise(P, R0, rate_psd, force_psd, walks, dt)
+        if still:
+            _zero_velocity(x, R, P, white_equivalent(velocity_sigma, velocity_time, dt))
+    memory[:3], memory[3:6], memory[6] = rate, force, 1.0 if resting else 0.0

@@ -1,0 +1,152 @@
+"""How a rig moves, in numbers: a foot, a hand, a vehicle.
+
+These constants describe the motion, not the sensors; noise and calibration come from the rig
+file, and `odometry_configs` joins the two.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from multiimu_ros.arrays import Vector
+from multiimu_ros.odometry.attitude import AttitudeConfig
+from multiimu_ros.odometry.error_state import ErrorStateConfig
+from multiimu_ros.odometry.zero_velocity import GlrtConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """One kind of motion; the fields are those of the three configs, see there.
+
+    `zero_velocity_sigma` and `zero_velocity_time` describe the velocity while `still`,
+    `still_rate_sigma` and `still_force_sigma` the tremor.
+    """
+
+    still_rate_sigma: float
+    still_force_sigma: float
+    resting_rate_sigma: float
+    resting_force_sigma: float
+    window_s: float
+    resting_s: float
+    zero_velocity_sigma: float
+    zero_velocity_time: float
+    motion_sigma: float
+    motion_time: float
+    motion_velocity_sigma: float
+    rate_scale_sigma: float
+    force_scale_sigma: float
+
+
+FOOT = Profile(
+    # A flat foot still rolls at up to 0.4 rad/s and trembles by 2 m/s^2: with the threshold of
+    # 12 these two are the limits that published SHOE thresholds of 1e4..1e5 stand for.
+    still_rate_sigma=0.12,
+    still_force_sigma=0.6,
+    # A standing person sways by about 0.01 rad/s and 0.05 m/s^2.
+    resting_rate_sigma=0.015,
+    resting_force_sigma=0.08,
+    window_s=0.025,  # 5 samples at 200 Hz, the published window; a stance lasts 0.3 s
+    resting_s=1.0,  # longer than any stance of a walk
+    zero_velocity_sigma=0.02,  # a rolling sole, 0.1 rad/s at 10 cm, half of it seen
+    zero_velocity_time=0.02,  # the roll of a stance is over in some ten milliseconds
+    motion_sigma=5.0,  # rms of a swing phase
+    motion_time=0.1,  # a swing speeds up and slows down within 0.4 s
+    motion_velocity_sigma=1.5,  # mean over a stride of a walk at 1.4 m/s
+    rate_scale_sigma=0.0,
+    force_scale_sigma=0.0,
+)
+HAND = Profile(
+    # Held, a hand is never still: only a rig that lies or stands on something is.
+    still_rate_sigma=0.004,
+    still_force_sigma=0.03,
+    resting_rate_sigma=0.004,
+    resting_force_sigma=0.03,
+    window_s=0.1,  # a hand that moves changes its rate within a tenth of a second
+    resting_s=0.5,  # a turning point of a slow sway is over by then
+    zero_velocity_sigma=0.01,  # a table that is touched moves by less
+    zero_velocity_time=0.05,
+    motion_sigma=0.5,  # slow handling; fast handling is seen in | |f| - g |
+    motion_time=0.2,  # a hand reverses about once a second, omega = 6 rad/s
+    motion_velocity_sigma=0.5,
+    rate_scale_sigma=0.0,
+    force_scale_sigma=0.0,
+)
+VEHICLE = Profile(
+    # An idling engine shakes the body by a few mrad/s and 0.1 m/s^2.
+    still_rate_sigma=0.005,
+    still_force_sigma=0.1,
+    resting_rate_sigma=0.005,
+    resting_force_sigma=0.1,
+    window_s=0.25,  # a rolling vehicle feels the road many times in a quarter of a second
+    resting_s=1.0,  # the body still pitches for a second after a stop
+    zero_velocity_sigma=0.02,  # a body that settles on its springs
+    zero_velocity_time=0.2,
+    motion_sigma=1.0,  # braking and turning, most of it level and unseen in | |f| - g |
+    motion_time=2.0,  # a manoeuvre lasts seconds
+    motion_velocity_sigma=10.0,
+    rate_scale_sigma=0.0,
+    force_scale_sigma=0.0,
+)
+PROFILES = {'foot': FOOT, 'hand': HAND, 'vehicle': VEHICLE}
+
+
+def odometry_configs(
+    profile: Profile,
+    gravity: float,
+    rate_bias_sigma: Vector,
+    force_bias_sigma: Vector,
+    rate_bias_walk: Vector,
+    force_bias_walk: Vector,
+) -> tuple[GlrtConfig, AttitudeConfig, ErrorStateConfig]:
+    """Join what is known about motion and rig.
+
+    Parameters
+    ----------
+    profile : Profile
+        The motion.
+    gravity : float
+        Local gravity [m/s^2].
+    rate_bias_sigma, force_bias_sigma : (3,) arrays
+        Biases that the calibration leaves in the fused IMU [rad/s], [m/s^2].
+    rate_bias_walk, force_bias_walk : (3,) arrays
+        Their random walks [rad/s^2/sqrt(Hz)], [m/s^3/sqrt(Hz)].
+
+    Returns
+    -------
+    GlrtConfig, AttitudeConfig, ErrorStateConfig
+        For `StillnessDetector`, `AttitudeFilter`, `ErrorStateFilter`.
+    """
+    detector = GlrtConfig(
+        angular_rate_sigma=profile.still_rate_sigma,
+        specific_force_sigma=profile.still_force_sigma,
+        resting_rate_sigma=profile.resting_rate_sigma,
+        resting_force_sigma=profile.resting_force_sigma,
+        rate_bias_sigma=float(np.sqrt(np.mean(np.square(rate_bias_sigma)))),
+        force_magnitude_sigma=float(np.sqrt(np.mean(np.square(force_bias_sigma)))),
+        window_s=profile.window_s,
+        resting_s=profile.resting_s,
+        gravity=gravity,
+    )
+    attitude = AttitudeConfig(
+        rate_bias_sigma=rate_bias_sigma,
+        force_bias_sigma=force_bias_sigma,
+        rate_bias_walk=rate_bias_walk,
+        motion_sigma=profile.motion_sigma,
+        still_sigma=profile.still_force_sigma,
+        motion_time=profile.motion_time,
+        gravity=gravity,
+    )
+    odometry = ErrorStateConfig(
+        rate_bias_sigma=rate_bias_sigma,
+        force_bias_sigma=force_bias_sigma,
+        rate_bias_walk=rate_bias_walk,
+        force_bias_walk=force_bias_walk,
+        zero_velocity_sigma=profile.zero_velocity_sigma,
+        zero_velocity_time=profile.zero_velocity_time,
+        motion_sigma=profile.motion_sigma,
+        motion_velocity_sigma=profile.motion_velocity_sigma,
+        rate_scale_sigma=profile.rate_scale_sigma,
+        force_scale_sigma=profile.force_scale_sigma,
+        gravity=gravity,
+    )
+    return detector, attitude, odometry
