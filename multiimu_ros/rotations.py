@@ -79,3 +79,27 @@ def right_jacobian(theta: Vector) -> Matrix:
 def renormalise(R: Matrix) -> Matrix:
     """Return the nearest rotation to first order; `R` (3, 3) is orthogonal but for rounding."""
     return 1.5 * R - 0.5 * (R @ (R.T @ R))
+
+
+@compiled
+def as_quaternion(R: Matrix) -> Vector:
+    """Return the unit quaternion [x, y, z, w] (4,) of the rotation `R` (3, 3), with w >= 0.
+
+    Shepperd's method: the largest of the four squares is the divisor, so it never cancels [2]_.
+
+    .. [2] S. W. Shepperd, "Quaternion from rotation matrix", J. Guidance and Control 1(3), 1978.
+    """
+    q = np.empty(4)
+    squares = np.array([R[0, 0], R[1, 1], R[2, 2], R[0, 0] + R[1, 1] + R[2, 2]])
+    k = np.argmax(squares)
+    if k == 3:
+        q[0], q[1], q[2] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+        q[3] = 1.0 + squares[3]
+    else:
+        i, j = (k + 1) % 3, (k + 2) % 3
+        q[k] = 1.0 + R[k, k] - R[i, i] - R[j, j]
+        q[i], q[j] = R[k, i] + R[i, k], R[k, j] + R[j, k]
+        q[3] = R[j, i] - R[i, j]
+    sign = 1.0 if q[3] >= 0.0 else -1.0
+    q *= sign / np.sqrt((q * q).sum())
+    return q

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiimu_ros.arrays import NANOSECONDS, Scalars, Vectors
+from multiimu_ros.arrays import NANOSECONDS, Scalars, Vector, Vectors
 from multiimu_ros.synchronization import streams as s
 
 
@@ -113,7 +113,7 @@ class Synchronizer:
         """Forget all samples, keep the counters: the next stamp may be anything."""
         s.restart(self._table, self._clock)
 
-    def push(self, stream: int, stamp_ns: int, values: Sequence[float]) -> list[Scan]:
+    def push(self, stream: int, stamp_ns: int, values: Sequence[float] | Vector) -> list[Scan]:
         """Take one reading (6 numbers, rate then force); return the scans that became due."""
         self._sample[:] = values
         verdict = s.take(

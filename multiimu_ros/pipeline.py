@@ -1,0 +1,303 @@
+"""The whole chain in one object: samples of K IMUs in, fused IMU and odometry out.
+
+    calibrate -> register -> synchronise -> fuse -> detect stillness -> attitude, odometry
+
+The fusion node, the pipeline node, `multiimu fuse` and the tests call this and nothing else, so
+that the live output and the one from a bag are the same numbers.  No ROS, no clock: time is what
+the stamps say.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import get_args, Literal
+
+import numpy as np
+
+from multiimu_ros.arrays import Matrix, Scalars, Vector, Vectors
+from multiimu_ros.calibration.sensor_model import affine
+from multiimu_ros.errors import ConfigError
+from multiimu_ros.fusion.array_fusion import ArrayFusion, ArrayFusionConfig, FusedImu
+from multiimu_ros.fusion.rig_model import bias_walk_density, rig_model
+from multiimu_ros.odometry.attitude import AttitudeFilter
+from multiimu_ros.odometry.error_state import ErrorStateFilter, pose_covariance, twist_covariance
+from multiimu_ros.odometry.profiles import odometry_configs, PROFILES
+from multiimu_ros.odometry.zero_velocity import StillnessDetector
+from multiimu_ros.registration.transform import mounting
+from multiimu_ros.rig import Rig
+from multiimu_ros.rotations import as_quaternion
+from multiimu_ros.synchronization.synchronizer import Scan, SyncConfig, Synchronizer
+
+Input = Literal['raw', 'calibrated', 'registered']
+ProfileName = Literal['hand', 'foot', 'vehicle']
+Local = Literal['kf']
+Master = Literal['carlson']
+
+# How fast rate and force may change between two scans: generous, so that the fused IMU has no
+# lag; smoothing is left to the filters downstream, which know the motion.
+MOTION = {
+    'hand': ArrayFusionConfig(angular_acceleration_sigma=50.0, jerk_sigma=500.0),
+    'foot': ArrayFusionConfig(angular_acceleration_sigma=300.0, jerk_sigma=5000.0),
+    'vehicle': ArrayFusionConfig(angular_acceleration_sigma=10.0, jerk_sigma=100.0),
+}
+FIRST_STEP = 0.005  # [s] stands in for the time since a sample that was never there
+
+
+@dataclass(frozen=True, kw_only=True)
+class PipelineConfig:
+    """Settings of the chain.
+
+    Parameters
+    ----------
+    input : {'raw', 'calibrated', 'registered'}
+        What is pushed in: which stages are still to do.
+    profile : {'hand', 'foot', 'vehicle'}
+        What the rig is mounted on.
+    local, master : {'kf'}, {'carlson'}
+        Local filter and master filter of the fusion.
+    sync : SyncConfig
+        Patience and probation of the synchroniser.
+
+    Raises
+    ------
+    ConfigError
+        If a choice is unknown; names those that exist.
+    """
+
+    input: Input = 'raw'
+    profile: ProfileName = 'hand'
+    local: Local = 'kf'
+    master: Master = 'carlson'
+    sync: SyncConfig = field(default_factory=SyncConfig)
+
+    def __post_init__(self) -> None:
+        choices = {'input': Input, 'profile': ProfileName, 'local': Local, 'master': Master}
+        for name, literal in choices.items():
+            value = getattr(self, name)
+            if value not in get_args(literal):
+                known = ', '.join(f"'{choice}'" for choice in get_args(literal))
+                msg = f'`{name}` must be one of {known}, got {value!r}.'
+                raise ConfigError(msg)
+
+
+@dataclass(frozen=True)
+class FusedFrame:
+    """All that is known at one instant; rotations about fixed axes in the pose, as ROS has it.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Instant of the measurement [ns].
+    angular_rate, specific_force : (3,) arrays
+        The fused IMU at the base origin, rate without its estimated bias [rad/s], [m/s^2].
+    angular_rate_covariance, specific_force_covariance : (3, 3) arrays
+        What is unknown of them, biases included.
+    orientation, odom_orientation : (4,) arrays
+        Attitude [x, y, z, w] of the attitude filter and of the odometry filter.
+    orientation_covariance : (3, 3) array
+        Of the attitude filter, about fixed axes [rad^2].
+    still : bool
+        Whether the rig has no velocity.
+    position_n, velocity_b : (3,) arrays
+        Position in the odometry frame [m], velocity in the base frame [m/s].
+    pose_covariance, twist_covariance : (6, 6) arrays
+        Of position and rotation; of velocity and rate.
+    weights : (K,) array
+        Share of each IMU in the fused rate [-].
+    """
+
+    stamp_ns: int
+    angular_rate: Vector
+    angular_rate_covariance: Matrix
+    specific_force: Vector
+    specific_force_covariance: Matrix
+    orientation: Vector
+    orientation_covariance: Matrix
+    still: bool
+    position_n: Vector
+    odom_orientation: Vector
+    velocity_b: Vector
+    pose_covariance: Matrix
+    twist_covariance: Matrix
+    weights: Scalars
+
+
+@dataclass(frozen=True)
+class ImuHealth:
+    """State and counters of one IMU, for people to read."""
+
+    name: str
+    state: str
+    rate_hz: float
+    weight: float
+    received: int
+    rejected: int
+    gaps: int
+
+
+class Pipeline:
+    """The chain on live streams.
+
+    Parameters
+    ----------
+    rig : Rig
+        Everything known about the IMUs.
+    config : PipelineConfig
+        What comes in, and what the rig is mounted on.
+    """
+
+    def __init__(self, rig: Rig, config: PipelineConfig) -> None:
+        self._rig = rig
+        self._config = config
+        self._prepare = [_preparation(rig, k, config.input) for k in range(len(rig.imus))]
+        self._build()
+
+    def _build(self) -> None:
+        rig, config = self._rig, self._config
+        model = rig_model(rig)
+        walk = bias_walk_density(rig)
+        bias_sigma = np.sqrt(model.bias_variance.sum(axis=0)) / len(model.bias_variance)
+        detector, attitude, odometry = odometry_configs(
+            PROFILES[config.profile],
+            gravity=rig.rig.gravity_magnitude,
+            rate_bias_sigma=bias_sigma[:3],
+            force_bias_sigma=bias_sigma[3:],
+            rate_bias_walk=walk[:3],
+            force_bias_walk=walk[3:],
+        )
+        self._synchronizer = Synchronizer(len(rig.imus), config.sync)
+        self._fusion = ArrayFusion(model, MOTION[config.profile])
+        self._detector = StillnessDetector(detector)
+        self._attitude = AttitudeFilter(attitude)
+        self._odometry = ErrorStateFilter(odometry)
+        self._last_ns: int | None = None
+        self._jumps = 0
+        self._weights = np.zeros(len(rig.imus))
+        self.frames = 0
+        self.empty_scans = 0
+
+    def reset(self) -> None:
+        """Start anew, as after construction."""
+        self._build()
+
+    def push(self, imu: int, stamp_ns: int, values: Sequence[float] | Vector) -> list[FusedFrame]:
+        """Take one reading; return the frames that became due, usually none or one.
+
+        Parameters
+        ----------
+        imu : int
+            Index of the IMU in the rig file.
+        stamp_ns : int
+            Stamp of the reading [ns].
+        values : 6 numbers
+            Angular rate [rad/s], then specific force [m/s^2], as `PipelineConfig.input` says.
+        """
+        prepare = self._prepare[imu]
+        if prepare is not None:
+            A, c, offset_ns = prepare
+            values = A @ np.asarray(values) + c
+            stamp_ns += offset_ns
+        scans = self._synchronizer.push(imu, stamp_ns, values)
+        return [frame for scan in scans if (frame := self._step(scan)) is not None]
+
+    def _step(self, scan: Scan) -> FusedFrame | None:
+        if self._synchronizer.time_jumps != self._jumps:
+            self._jumps = self._synchronizer.time_jumps
+            self._fusion.restart()
+            self._odometry.reset_motion()
+            self._last_ns = None
+        fused = self._fusion.push(scan)
+        if fused is None:
+            self.empty_scans += 1
+            return None
+        self._weights = fused.weights
+        self.frames += 1
+        return self._navigate(fused)
+
+    def _navigate(self, fused: FusedImu) -> FusedFrame:
+        """Move attitude and odometry on by one fused reading."""
+        dt = FIRST_STEP if self._last_ns is None else (fused.stamp_ns - self._last_ns) * 1e-9
+        self._last_ns = fused.stamp_ns
+        rate, force = fused.values[:3], fused.values[3:]
+        densities = fused.density[:3], fused.density[3:]
+        attitude, odometry = self._attitude, self._odometry
+        still, resting = self._detector.push(
+            dt, rate - attitude.gyro_bias, force - odometry.accel_bias, *densities
+        )
+        attitude.push(dt, rate, force, *densities, still, resting)
+        odometry.push(dt, rate, force, *densities, still, resting)
+        return self._frame(fused, still)
+
+    def _frame(self, fused: FusedImu, still: bool) -> FusedFrame:
+        R, P = self._attitude.R_nb, self._attitude.P
+        R_odom, P_odom = self._odometry.R_nb, self._odometry.P
+        velocity_n = self._odometry.velocity_n
+        rate_variance, force_variance = fused.variance[:3], fused.variance[3:]
+        return FusedFrame(
+            stamp_ns=fused.stamp_ns,
+            angular_rate=fused.values[:3] - self._attitude.gyro_bias,
+            angular_rate_covariance=np.diag(rate_variance) + P[3:, 3:],
+            specific_force=fused.values[3:],
+            specific_force_covariance=np.diag(force_variance + fused.bias_variance[3:]),
+            orientation=as_quaternion(R),
+            orientation_covariance=R @ P[:3, :3] @ R.T,
+            still=still,
+            position_n=self._odometry.position_n,
+            odom_orientation=as_quaternion(R_odom),
+            velocity_b=R_odom.T @ velocity_n,
+            pose_covariance=pose_covariance(R_odom, P_odom),
+            twist_covariance=twist_covariance(R_odom, velocity_n, P_odom, rate_variance),
+            weights=fused.weights,
+        )
+
+    def set_enabled(self, imu: int, enabled: bool) -> None:
+        """Leave one IMU out by hand, or take it back."""
+        self._synchronizer.set_enabled(imu, enabled)
+
+    def health(self) -> tuple[ImuHealth, ...]:
+        """Return state and counters of every IMU."""
+        return tuple(
+            ImuHealth(
+                name=name,
+                state=stream.state,
+                rate_hz=stream.rate_hz,
+                weight=float(weight),
+                received=stream.received,
+                rejected=stream.backward + stream.invalid + stream.stuck,
+                gaps=stream.gaps,
+            )
+            for name, stream, weight in zip(
+                self._rig.names, self._synchronizer.health(), self._weights, strict=True
+            )
+        )
+
+    @property
+    def time_jumps(self) -> int:
+        """How often the stamps went back by more than `SyncConfig.jump_s`."""
+        return self._synchronizer.time_jumps
+
+    def biases(self) -> tuple[Vectors, Vectors]:
+        """Return what is known of each IMU's bias, in the base frame.
+
+        Returns
+        -------
+        (K, 6) array
+            Bias of rate [rad/s] and force [m/s^2]: offset from the fused IMU plus its own bias.
+        (K, 6) array
+            Variance; that of the common bias, which dominates.
+        """
+        common = np.concatenate([self._attitude.gyro_bias, self._odometry.accel_bias])
+        P = self._odometry.P
+        variance = np.concatenate([np.diag(self._attitude.P)[3:], np.diag(P)[12:]])
+        offsets = self._fusion.offsets
+        return offsets + common, np.broadcast_to(variance, offsets.shape)
+
+
+def _preparation(rig: Rig, k: int, given: Input) -> tuple[Matrix, Vector, int] | None:
+    """Return the affine map and time offset that take a reading to the registered one."""
+    if given == 'registered':
+        return None
+    A, offset_ns = mounting(rig.imus[k])
+    if given == 'calibrated':
+        return A, np.zeros(6), offset_ns
+    A_intrinsics, c = affine(rig.imus[k].intrinsics)
+    return A @ A_intrinsics, A @ c, offset_ns
