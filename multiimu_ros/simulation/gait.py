@@ -20,7 +20,7 @@ HEEL_OFF_PITCH = 0.9  # [rad] toe down, about +y
 STRIKE_PITCH = -0.35  # [rad] toe up
 STRIKE_SHAKE = 1e-4  # [m] amplitude of the vibration after the strike: some 3 m/s^2
 CORNER = np.deg2rad([30.0, 60.0, 90.0])  # headings while turning left
-MIN_STRIDES = 2
+MIN_STRIDES = 4  # fewer cannot turn back into the first heading
 
 
 def strides_within(duration: float, standing: float) -> int:
