@@ -148,7 +148,6 @@ class Pipeline:
     def __init__(self, rig: Rig, config: PipelineConfig) -> None:
         self._rig = rig
         self._config = config
-        self._prepare = [_preparation(rig, k, config.input) for k in range(len(rig.imus))]
         self._build()
 
     def _build(self) -> None:
@@ -164,7 +163,7 @@ class Pipeline:
             rate_bias_walk=walk[:3],
             force_bias_walk=walk[3:],
         )
-        self._synchronizer = Synchronizer(len(rig.imus), config.sync)
+        self._synchronizer = _entrance(rig, config)
         self._fusion = ArrayFusion(model, MOTION[config.profile])
         self._detector = StillnessDetector(detector)
         self._attitude = AttitudeFilter(attitude)
@@ -191,11 +190,6 @@ class Pipeline:
         values : 6 numbers
             Angular rate [rad/s], then specific force [m/s^2], as `PipelineConfig.input` says.
         """
-        prepare = self._prepare[imu]
-        if prepare is not None:
-            A, c, offset_ns = prepare
-            values = A @ np.asarray(values) + c
-            stamp_ns += offset_ns
         scans = self._synchronizer.push(imu, stamp_ns, values)
         return [frame for scan in scans if (frame := self._step(scan)) is not None]
 
@@ -292,12 +286,15 @@ class Pipeline:
         return offsets + common, np.broadcast_to(variance, offsets.shape)
 
 
-def _preparation(rig: Rig, k: int, given: Input) -> tuple[Matrix, Vector, int] | None:
-    """Return the affine map and time offset that take a reading to the registered one."""
-    if given == 'registered':
-        return None
-    A, offset_ns = mounting(rig.imus[k])
-    if given == 'calibrated':
-        return A, np.zeros(6), offset_ns
-    A_intrinsics, c = affine(rig.imus[k].intrinsics)
-    return A @ A_intrinsics, A @ c, offset_ns
+def _entrance(rig: Rig, config: PipelineConfig) -> Synchronizer:
+    """Return the synchroniser, with calibration and registration at its door where still due."""
+    maps, offsets_ns = np.zeros((len(rig.imus), 6, 7)), np.zeros(len(rig.imus), dtype=np.int64)
+    maps[:, :, :6] = np.eye(6)
+    for k, imu in enumerate(rig.imus):
+        if config.input == 'raw':
+            A, c = affine(imu.intrinsics)
+            maps[k] = np.column_stack([A, c])
+        if config.input != 'registered':
+            R, offsets_ns[k] = mounting(imu)
+            maps[k] = R @ maps[k]
+    return Synchronizer(len(rig.imus), config.sync, maps, offsets_ns)

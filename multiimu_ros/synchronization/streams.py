@@ -4,25 +4,26 @@ Each stream owns one row of the integer `table`; the columns are named below.  `
 sample or says why not; `advance` makes the next scan when it is due.  All stamps in [ns].
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
-from multiimu_ros.arrays import Stamps, Vector, Vectors
+from multiimu_ros.arrays import Matrix, Stamps, Vector, Vectors
 from multiimu_ros.compiled import compiled
 
 RING = 2048  # samples kept of each stream: a second at 2 kHz, far more than any patience
 
-COLUMNS = 15  # of the table
+COLUMNS = 14  # of the table
 (
     WRITTEN, CURSOR, LATEST, PERIOD, WAITED, USABLE_FROM, ENABLED, FAULT, REPEATED,
-    RECEIVED, BACKWARD, INVALID, STUCK, GAPS, FIRST,
+    RECEIVED, BACKWARD, INVALID, STUCK, GAPS,
 ) = range(COLUMNS)  # fmt: skip
 
 CLOCK_FIELDS = 4
 REFERENCE, LAST_SCAN, NEWEST, STARTED = range(CLOCK_FIELDS)
 PATIENCE, START_PATIENCE, PROBATION, JUMP = range(4)  # of the settings
 
-TAKEN, REFUSED, JUMPED = range(3)
-NOT_DUE = -1
+NOT_DUE, REFUSED, JUMPED = -1, -2, -3  # where otherwise the stamp of a scan is returned
 HEALTHY, IS_INVALID, IS_STUCK = range(3)  # of FAULT
 
 NEVER = np.iinfo(np.int64).min // 4  # a stamp before all stamps, safe to subtract from
@@ -32,31 +33,45 @@ GAP_PERIODS = 3
 PERIOD_MEMORY = 64  # intervals that the running mean of the period looks back
 
 
+class Streams(NamedTuple):
+    """The state of a synchroniser: arrays, changed in place."""
+
+    stamps: Stamps  # (K, RING)
+    values: Vectors  # (K, RING, 6)
+    table: Stamps  # (K, COLUMNS)
+    clock: Stamps  # (CLOCK_FIELDS,)
+    settings: Stamps  # (5,)
+    maps: Matrix  # (K, 6, 7): [A | c] of the affine map that readings pass on entry
+    offsets: Stamps  # (K,): added to the stamps on entry
+    sample: Vector  # (6,): the reading that comes in
+    last: Vectors  # (K, 6): the last one of each stream, as it came in
+    scan: Vectors  # (K, 7): the scan that goes out: readings, NaN where none, and share
+
+
 @compiled
-def restart(table: Stamps, clock: Stamps) -> None:
+def restart(streams: Streams) -> None:
     """Forget the samples of every stream; keep counters, periods and enabled flags."""
-    for row in table:
+    for row in streams.table:
         row[WRITTEN] = row[CURSOR] = row[FAULT] = row[REPEATED] = 0
-        row[LATEST] = row[FIRST] = NEVER
+        row[LATEST] = NEVER
         row[WAITED] = 1
         row[USABLE_FROM] = NEVER
+    clock = streams.clock
     clock[REFERENCE] = 0
     clock[LAST_SCAN] = clock[NEWEST] = clock[STARTED] = NEVER
 
 
 @compiled
-def take(
-    stamps: Stamps,
-    values: Vectors,
-    table: Stamps,
-    clock: Stamps,
-    settings: Stamps,
-    stream: int,
-    stamp: int,
-    sample: Vector,
-) -> int:
-    """Admit one sample; return TAKEN, REFUSED (counted) or JUMPED (time went back)."""
-    row = table[stream]
+def take(streams: Streams, k: int, stamp: int) -> int:
+    """Admit the reading in `streams.sample` to stream k.
+
+    Returns
+    -------
+    int
+        Stamp of the scan that became due, or NOT_DUE, REFUSED (counted), JUMPED (time went back).
+    """
+    row, clock, settings = streams.table[k], streams.clock, streams.settings
+    stamp += streams.offsets[k]
     row[RECEIVED] += 1
     if stamp <= row[LATEST]:
         if stamp < row[LATEST] - settings[JUMP]:
@@ -64,45 +79,53 @@ def take(
             return JUMPED
         row[BACKWARD] += 1
         return REFUSED
-    if not _is_sound(values, table, stream, sample):
+    if not _is_sound(streams, k):
         return REFUSED
     if row[WRITTEN] > 0:
         _note_interval(row, stamp, settings)
     elif stamp > clock[STARTED] + settings[START_PATIENCE] and clock[STARTED] != NEVER:
         row[USABLE_FROM] = stamp + settings[PROBATION]
-    if row[FIRST] == NEVER:
-        row[FIRST] = stamp
     row[WAITED] = 1
     row[FAULT] = HEALTHY
     row[LATEST] = stamp
     slot = row[WRITTEN] % RING
-    stamps[stream, slot] = stamp
-    values[stream, slot] = sample
+    streams.stamps[k, slot] = stamp
+    for axis in range(6):
+        streams.values[k, slot, axis] = _mapped(streams.maps[k, axis], streams.sample)
     row[WRITTEN] += 1
     row[CURSOR] = max(row[CURSOR], row[WRITTEN] - RING)
     clock[NEWEST] = max(clock[NEWEST], stamp)
     if clock[STARTED] == NEVER:
         clock[STARTED] = stamp
-    return TAKEN
+    return advance(streams)
 
 
 @compiled
-def _is_sound(values: Vectors, table: Stamps, stream: int, sample: Vector) -> bool:
+def _mapped(row: Vector, sample: Vector) -> float:
+    """Return one line of A @ sample + c."""
+    total = 0.0
+    for other in range(6):
+        total += row[other] * sample[other]
+    return total + float(row[6])
+
+
+@compiled
+def _is_sound(streams: Streams, k: int) -> bool:
     """Refuse NaN and frozen readings, count them, and remember the fault."""
-    row = table[stream]
-    if not np.isfinite(sample).all():
+    row, table = streams.table[k], streams.table
+    if not np.isfinite(streams.sample).all():
         row[INVALID] += 1
         row[FAULT] = IS_INVALID
         return False
-    last = (row[WRITTEN] - 1) % RING
-    if row[WRITTEN] == 0 or (values[stream, last] != sample).any():
+    if row[WRITTEN] == 0 or (streams.last[k] != streams.sample).any():
+        streams.last[k] = streams.sample
         row[REPEATED] = 0
         return True
     row[REPEATED] += 1
     neighbours_change = False
-    for k in range(len(table)):
-        alive = k != stream and table[k, WAITED] == 1 and table[k, WRITTEN] > 0
-        if alive and 2 * table[k, REPEATED] < REPEATS_BESIDE_OTHERS:
+    for other in range(len(table)):
+        alive = other != k and table[other, WAITED] == 1 and table[other, WRITTEN] > 0
+        if alive and 2 * table[other, REPEATED] < REPEATS_BESIDE_OTHERS:
             neighbours_change = True
     limit = REPEATS_BESIDE_OTHERS if neighbours_change else REPEATS_ALONE
     if row[REPEATED] < limit:
@@ -128,27 +151,23 @@ def _note_interval(row: Stamps, stamp: int, settings: Stamps) -> None:
 
 
 @compiled
-def advance(
-    stamps: Stamps, values: Vectors, table: Stamps, clock: Stamps, settings: Stamps, out: Vectors
-) -> int:
-    """Write the next scan into `out` (K, 7) and return its stamp, or NOT_DUE.
-
-    Columns 0-5 of `out` are the readings, NaN where there are none; column 6 is the share.
-    """
-    stamp = _next_stamp(stamps, table, clock, settings)
+def advance(streams: Streams) -> int:
+    """Write the next scan into `streams.scan` and return its stamp, or NOT_DUE."""
+    table, clock, settings, scan = streams.table, streams.clock, streams.settings, streams.scan
+    stamp = _next_stamp(streams.stamps, table, clock, settings)
     if stamp == NOT_DUE:
         return NOT_DUE
-    for k in range(len(table)):
-        if table[k, WAITED] == 1 and table[k, LATEST] < stamp:
-            if not _is_overdue(table[k], clock, stamp, settings):
+    for row in table:
+        if row[WAITED] == 1 and row[LATEST] < stamp:
+            if not _is_overdue(row, clock, stamp, settings):
                 return NOT_DUE
-            table[k, WAITED] = 0
+            row[WAITED] = 0
     for k in range(len(table)):
-        out[k, :] = np.nan
+        scan[k, :] = np.nan
         if table[k, ENABLED] == 1:
-            _interpolate(stamps[k], values[k], table[k], stamp, out[k])
+            _interpolate(streams.stamps[k], streams.values[k], table[k], stamp, scan[k])
             since = stamp - table[k, USABLE_FROM]
-            out[k, 6] = min(max(since / settings[PROBATION], 0.0), 1.0)
+            scan[k, 6] = min(max(since / settings[PROBATION], 0.0), 1.0)
     clock[LAST_SCAN] = stamp
     return stamp
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multiimu_ros.arrays import NANOSECONDS, Scalars, Vector, Vectors
+from multiimu_ros.arrays import Matrix, NANOSECONDS, Scalars, Stamps, Vector, Vectors
 from multiimu_ros.synchronization import streams as s
 
 
@@ -92,69 +92,75 @@ class Synchronizer:
         Number of streams K.
     config : SyncConfig
         Patience and probation.
+    maps : (K, 6, 7) array, optional
+        [A | c] of the affine map A v + c that the readings of each stream pass on entry; by
+        default they stay as they are.
+    offsets_ns : (K,) int array, optional
+        Added to the stamps of each stream on entry [ns]; by default 0.
     """
 
-    def __init__(self, count: int, config: SyncConfig | None = None) -> None:
-        self._config = SyncConfig() if config is None else config
-        self._settings = np.array(
-            [round(value * NANOSECONDS) for value in vars(self._config).values()], dtype=np.int64
+    def __init__(
+        self,
+        count: int,
+        config: SyncConfig,
+        maps: Matrix | None = None,
+        offsets_ns: Stamps | None = None,
+    ) -> None:
+        settings = [round(value * NANOSECONDS) for value in vars(config).values()]
+        identity = np.broadcast_to(np.eye(6, 7), (count, 6, 7))
+        self._streams = s.Streams(
+            stamps=np.zeros((count, s.RING), dtype=np.int64),
+            values=np.zeros((count, s.RING, 6)),
+            table=np.zeros((count, s.COLUMNS), dtype=np.int64),
+            clock=np.zeros(s.CLOCK_FIELDS, dtype=np.int64),
+            settings=np.array(settings, dtype=np.int64),
+            maps=np.array(identity if maps is None else maps),
+            offsets=np.array(np.zeros(count) if offsets_ns is None else offsets_ns, np.int64),
+            sample=np.zeros(6),
+            last=np.zeros((count, 6)),
+            scan=np.zeros((count, 7)),
         )
-        self._stamps = np.zeros((count, s.RING), dtype=np.int64)
-        self._values = np.zeros((count, s.RING, 6))
-        self._sample = np.zeros(6)
-        self._table = np.zeros((count, s.COLUMNS), dtype=np.int64)
-        self._clock = np.zeros(s.CLOCK_FIELDS, dtype=np.int64)
-        self._out = np.zeros((count, 7))
-        self._table[:, s.ENABLED] = 1
+        self._streams.table[:, s.ENABLED] = 1
+        self._sample = self._streams.sample
         self.time_jumps = 0
         self.restart()
 
     def restart(self) -> None:
         """Forget all samples, keep the counters: the next stamp may be anything."""
-        s.restart(self._table, self._clock)
+        s.restart(self._streams)
 
     def push(self, stream: int, stamp_ns: int, values: Sequence[float] | Vector) -> list[Scan]:
         """Take one reading (6 numbers, rate then force); return the scans that became due."""
         self._sample[:] = values
-        verdict = s.take(
-            self._stamps, self._values, self._table, self._clock, self._settings,
-            stream, stamp_ns, self._sample,
-        )  # fmt: skip
-        if verdict == s.TAKEN:
-            return self._due()
-        if verdict == s.JUMPED:
+        due_ns = s.take(self._streams, stream, stamp_ns)
+        if due_ns == s.JUMPED:
             self.time_jumps += 1
             self.restart()
-            return self.push(stream, stamp_ns, values)
-        return []
-
-    def _due(self) -> list[Scan]:
+            due_ns = s.take(self._streams, stream, stamp_ns)
         scans: list[Scan] = []
-        while True:
-            stamp_ns = s.advance(
-                self._stamps, self._values, self._table, self._clock, self._settings, self._out
-            )
-            if stamp_ns == s.NOT_DUE:
-                return scans
-            scans.append(Scan(int(stamp_ns), self._out[:, :6].copy(), self._out[:, 6].copy()))
+        while due_ns >= 0:
+            scan = self._streams.scan
+            scans.append(Scan(due_ns, scan[:, :6].copy(), scan[:, 6].copy()))
+            due_ns = s.advance(self._streams)
+        return scans
 
     def set_enabled(self, stream: int, enabled: bool) -> None:
         """Exclude a stream by hand, or take it back (on probation)."""
-        self._table[stream, s.ENABLED] = enabled
-        self._table[stream, s.USABLE_FROM] = (
-            self._clock[s.NEWEST] + self._settings[s.PROBATION] if enabled else 0
-        )
+        self._streams.table[stream, s.ENABLED] = enabled
+        if enabled:
+            trusted_from = self._streams.clock[s.NEWEST] + self._streams.settings[s.PROBATION]
+            self._streams.table[stream, s.USABLE_FROM] = trusted_from
 
     def health(self) -> tuple[StreamHealth, ...]:
         """Return the state and the counters of every stream."""
-        return tuple(self._health(row) for row in self._table.tolist())
+        return tuple(self._health(row) for row in self._streams.table.tolist())
 
     def _health(self, row: list[int]) -> StreamHealth:
         if not row[s.ENABLED]:
             state = 'disabled'
         elif not row[s.WAITED] or row[s.FAULT]:
             state = ('absent', 'invalid', 'stuck')[row[s.FAULT]]
-        elif row[s.USABLE_FROM] > self._clock[s.NEWEST]:
+        elif row[s.USABLE_FROM] > self._streams.clock[s.NEWEST]:
             state = 'probation'
         else:
             state = 'ok' if row[s.RECEIVED] else 'absent'
