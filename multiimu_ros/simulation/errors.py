@@ -6,9 +6,9 @@ that found them exactly would undo them exactly:
 
     raw = bias + inv(misalignment) @ (true + g_sensitivity @ force) / scale + noise,
 
-rounded to the sensor's steps and cut off at its range.  The noise is white, plus flicker with the
-one-sided power density B^2 / (2 pi f), whose Allan deviation is flat at 0.664 B, plus a random
-walk.
+rounded to the sensor's steps and cut off at its range.  The noise is white, plus flicker, plus a
+random walk, of the two-sided power densities N^2, B^2 / (2 pi f) and (K / (2 pi f))^2: in Allan
+deviations N / sqrt(tau), a flat 0.664 B, and K sqrt(tau / 3).
 """
 
 from dataclasses import dataclass
@@ -217,14 +217,13 @@ def draw_noise(
 
 
 def unit_flicker(count: int, rng: np.random.Generator) -> Vectors:
-    """Return noise (count, 3) of one-sided power density 1 / (2 pi f), whatever the rate.
+    """Return noise (count, 3) of two-sided power density 1 / (2 pi f), whatever the rate.
 
     White noise is shaped in the frequency domain; below 1 / record length there is nothing.
     """
     spectrum = np.fft.rfft(rng.standard_normal((count, 3)), axis=0)
-    # One-sided density of unit white noise is 2 per cycle/sample; 1/f has no scale, so the
-    # rate drops out.
+    # The density of unit white noise is 1 per cycle/sample; 1/f has no scale: the rate drops out.
     frequency = np.arange(1, len(spectrum))[:, np.newaxis] / count
-    spectrum[1:] *= np.sqrt(1 / (4 * np.pi * frequency))
+    spectrum[1:] *= np.sqrt(1 / (2 * np.pi * frequency))
     spectrum[:1] = 0.0
     return np.asarray(np.fft.irfft(spectrum, n=count, axis=0))
