@@ -1,0 +1,153 @@
+"""ROS messages to numbers and back, on the serialised bytes.
+
+The middleware costs more than the filters, so IMU messages are read and written as bytes.  Every
+message of the live path has one shape: a stamp, one or two frame names, then doubles to the end.
+
+    offset 0   encapsulation, 4 bytes: 0, then 1 for little or 0 for big endian
+    offset 4   stamp: int32 seconds, uint32 nanoseconds
+    then       strings: uint32 length with the final zero, bytes; each starts on a multiple of 4
+    then       doubles; they start on a multiple of 8
+
+where alignment counts from offset 4 (OMG CDR, formal/2021-03-02 section 15.3; RTPS 2.5 section
+10.5).  What does not look like that goes through rclpy's own deserialisation.  Quaternions are
+x, y, z, w and appear here only.
+"""
+
+import struct
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Imu
+
+from multiimu_ros.arrays import NANOSECONDS, Vector
+
+if TYPE_CHECKING:
+    from multiimu_ros.pipeline import FusedFrame
+
+Reading = tuple[int, str, tuple[float, ...]]  # stamp [ns], frame, angular rate and specific force
+
+# By encapsulation: stamp and length of the frame's name; rate, force (a covariance between them).
+LAYOUTS = {
+    b'\x00\x01': (struct.Struct('<iII'), struct.Struct('<3d72x3d')),
+    b'\x00\x00': (struct.Struct('>iII'), struct.Struct('>3d72x3d')),
+}
+IMU_NUMBERS = 37  # quaternion 4, covariance 9, rate 3, covariance 9, force 3, covariance 9
+RATE_START = 13
+RATE, FORCE = slice(13, 16), slice(25, 28)  # where they stand among the 37
+RATE_COVARIANCE, FORCE_COVARIANCE = slice(16, 25), slice(28, 37)
+
+
+def decode_imu(data: bytes) -> Reading | None:
+    """Read one serialised sensor_msgs/Imu.
+
+    Parameters
+    ----------
+    data : bytes
+        As a raw subscription delivers it.
+
+    Returns
+    -------
+    (int, str, tuple) or None
+        Stamp [ns], frame, and six floats: angular rate [rad/s], then specific force [m/s^2];
+        None for bytes that are no Imu.
+    """
+    layout = LAYOUTS.get(data[:2])
+    if layout is not None and len(data) >= 16:
+        start, rate_and_force = layout
+        seconds, nanoseconds, length = start.unpack_from(data, 4)
+        numbers = 4 + (12 + length + 7 & -8)
+        if len(data) == numbers + 8 * IMU_NUMBERS and length > 0:
+            values = rate_and_force.unpack_from(data, numbers + 8 * RATE_START)
+            frame_id = data[16 : 15 + length].decode('utf-8', 'replace')
+            return seconds * NANOSECONDS + nanoseconds, frame_id, values
+    return _decode_imu_slowly(data)
+
+
+def _decode_imu_slowly(data: bytes) -> Reading | None:
+    try:
+        msg = deserialize_message(bytes(data), Imu)
+    except RuntimeError:  # rclpy's RMWError
+        return None
+    w, f = msg.angular_velocity, msg.linear_acceleration
+    stamp_ns = msg.header.stamp.sec * NANOSECONDS + msg.header.stamp.nanosec
+    return stamp_ns, msg.header.frame_id, (w.x, w.y, w.z, f.x, f.y, f.z)
+
+
+class StampedEncoder:
+    """Write messages that are a stamp, fixed frame names, and doubles.
+
+    That is sensor_msgs/Imu (frame_id; 37 numbers), nav_msgs/Odometry (frame_id, child_frame_id;
+    85) and geometry_msgs/TwistWithCovarianceStamped (frame_id; 42).
+
+    Parameters
+    ----------
+    frames : str
+        The names, in the order of the message.
+    """
+
+    def __init__(self, *frames: str) -> None:
+        text = bytes(8)  # the place of the stamp
+        for frame in frames:
+            name = frame.encode() + b'\x00'
+            text += bytes(-len(text) % 4) + struct.pack('<I', len(name)) + name
+        self._names = text[8:] + bytes(-len(text) % 8)
+
+    def encode(self, stamp_ns: int, numbers: Vector) -> bytes:
+        """Return the serialised message with these (M,) doubles."""
+        stamp = struct.pack('<iI', *divmod(stamp_ns, NANOSECONDS))
+        doubles = numbers.astype('<f8', copy=False).tobytes()
+        return b'\x00\x01\x00\x00' + stamp + self._names + doubles
+
+
+def imu_numbers(
+    rate_covariance: Vector, force_covariance: Vector, values: Vector | None = None
+) -> Vector:
+    """Return the (37,) numbers of an Imu without orientation (its first covariance is -1).
+
+    Parameters
+    ----------
+    rate_covariance, force_covariance : (3, 3) arrays
+        Of the angular rate [rad^2/s^2] and the specific force [m^2/s^4].
+    values : (6,) array, optional
+        Angular rate, specific force; may be written to RATE and FORCE later.
+    """
+    numbers = np.zeros(IMU_NUMBERS)
+    numbers[3] = 1.0  # a valid quaternion, for consumers that normalise before they look
+    numbers[4] = -1.0
+    numbers[RATE_COVARIANCE] = np.ravel(rate_covariance)
+    numbers[FORCE_COVARIANCE] = np.ravel(force_covariance)
+    if values is not None:
+        numbers[RATE], numbers[FORCE] = values[:3], values[3:]
+    return numbers
+
+
+def fused_imu_numbers(frame: 'FusedFrame') -> Vector:
+    """Return the (37,) numbers of `imu/data`: orientation, rate and force with covariances."""
+    numbers = np.empty(IMU_NUMBERS)
+    numbers[:4] = frame.orientation
+    numbers[4:13] = frame.orientation_covariance.ravel()
+    numbers[RATE] = frame.angular_rate
+    numbers[RATE_COVARIANCE] = frame.angular_rate_covariance.ravel()
+    numbers[FORCE] = frame.specific_force
+    numbers[FORCE_COVARIANCE] = frame.specific_force_covariance.ravel()
+    return numbers
+
+
+def odometry_numbers(frame: 'FusedFrame') -> Vector:
+    """Return the (85,) numbers of `odom`: pose in `odom`, twist in the base frame."""
+    numbers = np.empty(85)
+    numbers[:3] = frame.position_n
+    numbers[3:7] = frame.odom_orientation
+    numbers[7:43] = frame.pose_covariance.ravel()
+    numbers[43:46] = frame.velocity_b
+    numbers[46:49] = frame.angular_rate
+    numbers[49:] = frame.twist_covariance.ravel()
+    return numbers
+
+
+def still_twist_numbers(frame: 'FusedFrame') -> Vector:
+    """Return the (42,) numbers of `zero_velocity`: twist zero, with the frame's covariance."""
+    numbers = np.zeros(42)
+    numbers[6:] = frame.twist_covariance.ravel()
+    return numbers
