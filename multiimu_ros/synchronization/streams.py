@@ -163,11 +163,15 @@ def advance(streams: Streams) -> int:
                 return NOT_DUE
             row[WAITED] = 0
     for k in range(len(table)):
-        scan[k, :] = np.nan
-        if table[k, ENABLED] == 1:
+        scan[k, :6], scan[k, 6] = np.nan, 0.0
+        if table[k, ENABLED] == 0:
+            continue
+        since = stamp - table[k, USABLE_FROM]
+        scan[k, 6] = min(max(since / settings[PROBATION], 0.0), 1.0)
+        # The first scans after a return may or may not have seen it, as topics are served; a
+        # patience later every scan waits for it.
+        if since > settings[PATIENCE] - settings[PROBATION]:
             _interpolate(streams.stamps[k], streams.values[k], table[k], stamp, scan[k])
-            since = stamp - table[k, USABLE_FROM]
-            scan[k, 6] = min(max(since / settings[PROBATION], 0.0), 1.0)
     clock[LAST_SCAN] = stamp
     return stamp
 

@@ -49,6 +49,10 @@ class SyncConfig:
             if not value > 0:  # also catches NaN
                 msg = f'`{name}` must be positive, got {value}.'
                 raise ValueError(msg)
+        if not self.patience_s < self.probation_s:
+            limits = f'`patience_s` {self.patience_s}, got {self.probation_s}'
+            msg = f'`probation_s` must be above {limits}.'
+            raise ValueError(msg)
 
 
 @dataclass(frozen=True)
