@@ -20,6 +20,7 @@ import numpy as np
 from multiimu_ros.arrays import as_vector, Matrix, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.kalman import scalar_update, transform_block, white_equivalent
+from multiimu_ros.odometry.rest import RestBuffer, Sample
 from multiimu_ros.rotations import exp_so3, renormalise, right_jacobian, skew
 
 GAP = 0.05  # [s] longer steps hide motion: 20 Hz is the slowest IMU that we call one
@@ -46,6 +47,8 @@ class AttitudeConfig:
         How much the rate may change unseen in a gap [rad/s].
     resting_walk : float
         How a resting rig may turn [rad/sqrt(s)].
+    resting_lag : float
+        How late the end of a rest may be noticed [s].
     gravity : float
         Local gravity [m/s^2].
     """
@@ -58,6 +61,7 @@ class AttitudeConfig:
     motion_time: float
     motion_rate_sigma: float = 1.0
     resting_walk: float = 1e-5
+    resting_lag: float = 0.25
     gravity: float = 9.80665
 
     def __post_init__(self) -> None:
@@ -201,6 +205,7 @@ class AttitudeFilter:
         sigmas = (np.ones(3), config.rate_bias_sigma, config.force_bias_sigma)
         self._P = np.diag(np.square(np.concatenate(sigmas)))
         self._memory = np.full(4, np.nan)
+        self._rest = RestBuffer(config.resting_lag)
         self._skipped = 0.0  # [s] time of readings that were not finite
 
     @property
@@ -275,12 +280,7 @@ class AttitudeFilter:
         if np.isnan(self._memory[0]):
             self._memory[:3] = angular_rate
             return
-        _step(
-            self._R,
-            self._bias,
-            self._P,
-            self._memory,
-            self._settings,
+        sample = Sample(
             dt + self._skipped,
             angular_rate,
             specific_force,
@@ -290,3 +290,5 @@ class AttitudeFilter:
             resting,
         )
         self._skipped = 0.0
+        for ready in self._rest.push(sample):
+            _step(self._R, self._bias, self._P, self._memory, self._settings, *ready)

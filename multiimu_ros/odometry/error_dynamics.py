@@ -14,6 +14,9 @@ from multiimu_ros.odometry.kalman import scalar_update, transform_block, white_e
 from multiimu_ros.odometry.strapdown import increments
 from multiimu_ros.rotations import exp_so3, renormalise, right_jacobian, skew
 
+CREDIBLE_SQUARE = 16.0  # 4 sigma; beyond it a swinging foot that looks still for a moment
+CONFIRMED = 0.1  # [s] no swing looks still for longer, but a running stance does
+
 
 @compiled
 def transition(R: Matrix, phi: Vector, dv: Vector, dp: Vector, dt: float) -> Matrix:
@@ -129,6 +132,13 @@ def _zero_velocity(x: Vector, R: Matrix, P: Matrix, variance: float) -> None:
 
 
 @compiled
+def _credible(x: Vector, P: Matrix, variance: float) -> bool:
+    """Say whether the estimated velocity could be zero, going by its own uncertainty."""
+    expected = P[3, 3] + P[4, 4] + P[5, 5] + 3.0 * variance
+    return bool(x[3] ** 2 + x[4] ** 2 + x[5] ** 2 < CREDIBLE_SQUARE * expected)
+
+
+@compiled
 def _hold(x: Vector, P: Matrix, variance: float) -> None:
     """Set the velocity to zero, but for a tremor of `variance` that no other state shares."""
     x[3:6] = 0.0
@@ -171,7 +181,7 @@ def step(
     still: bool,
     resting: bool,
 ) -> None:
-    """Take one sample; `memory` (7,) is the previous rate and force, and whether it rested."""
+    """Take one sample; `memory` (8,): previous rate, force, rest, time still."""
     gravity, velocity_sigma, velocity_time, resting_velocity, resting_walk = settings[:5]
     walks = settings[9:15] ** 2
     if resting:
@@ -194,5 +204,10 @@ def step(
         _move(x, R, P, memory[:3], memory[3:6], rate, force, dt, gravity)
         _add_noise(P, R0, rate_psd, force_psd, walks, dt)
         if still:
-            _zero_velocity(x, R, P, white_equivalent(velocity_sigma, velocity_time, dt))
+            roll = settings[15] ** 2 * np.sum((rate - x[9:12]) ** 2)
+            sigma = np.sqrt(velocity_sigma**2 + roll)
+            variance = white_equivalent(sigma, velocity_time, dt)
+            if memory[7] > CONFIRMED or _credible(x, P, variance):
+                _zero_velocity(x, R, P, variance)
+    memory[7] = memory[7] + dt if still else 0.0
     memory[:3], memory[3:6], memory[6] = rate, force, 1.0 if resting else 0.0

@@ -20,6 +20,7 @@ import numpy as np
 
 from multiimu_ros.arrays import as_vector, Matrix, Vector
 from multiimu_ros.odometry.error_dynamics import align, step
+from multiimu_ros.odometry.rest import RestBuffer, Sample
 from multiimu_ros.rotations import skew
 
 
@@ -37,6 +38,8 @@ class ErrorStateConfig:
         Velocity of a still rig, one axis [m/s].
     zero_velocity_time : float
         How long that velocity stays correlated [s].
+    rolling_arm : float
+        Distance to the point about which a still rig may roll [m].
     motion_sigma : float
         Acceleration of a moving rig, for a start in motion and for gaps [m/s^2].
     motion_velocity_sigma : float
@@ -50,6 +53,8 @@ class ErrorStateConfig:
         Velocity of a resting rig [m/s].
     resting_walk : float
         How a resting rig may turn [rad/sqrt(s)].
+    resting_lag : float
+        How late the end of a rest may be noticed [s].
     gravity : float
         Local gravity [m/s^2].
     """
@@ -63,10 +68,12 @@ class ErrorStateConfig:
     motion_sigma: float
     motion_velocity_sigma: float
     motion_rate_sigma: float = 1.0
+    rolling_arm: float = 0.0
     rate_scale_sigma: float = 0.0
     force_scale_sigma: float = 0.0
     resting_velocity_sigma: float = 1e-3
     resting_walk: float = 1e-5
+    resting_lag: float = 0.25
     gravity: float = 9.80665
 
     def __post_init__(self) -> None:
@@ -94,14 +101,16 @@ class ErrorStateFilter:
                 config.force_scale_sigma,
                 *as_vector(config.rate_bias_walk, 'rate_bias_walk'),
                 *as_vector(config.force_bias_walk, 'force_bias_walk'),
+                config.rolling_arm,
             ]
         )
         self._x = np.zeros(15)
         self._R = np.eye(3)
         sigmas = (np.zeros(6), np.ones(3), config.rate_bias_sigma, config.force_bias_sigma)
         self._P = np.diag(np.square(np.concatenate(sigmas)))
-        self._memory = np.full(7, np.nan)
+        self._memory = np.full(8, np.nan)
         self._aligned = False
+        self._rest = RestBuffer(config.resting_lag)
         self._skipped = 0.0  # [s] time of readings that were not finite
 
     @property
@@ -152,6 +161,7 @@ class ErrorStateFilter:
         self._P[:, :6] = 0.0
         self._P[3:6, 3:6] = np.eye(3) * self._config.motion_velocity_sigma**2
         self._memory[:] = np.nan
+        self._rest.clear()
         self._skipped = 0.0
 
     def align(self, specific_force: Vector, force_sigma: float, velocity_sigma: float) -> None:
@@ -203,14 +213,9 @@ class ErrorStateFilter:
                 specific_force, self._config.motion_sigma, self._config.motion_velocity_sigma
             )
         if np.isnan(self._memory[0]):
-            self._memory[:] = (*angular_rate, *specific_force, 0.0)
+            self._memory[:] = (*angular_rate, *specific_force, 0.0, 0.0)
             return
-        step(
-            self._x,
-            self._R,
-            self._P,
-            self._memory,
-            self._settings,
+        sample = Sample(
             dt + self._skipped,
             angular_rate,
             specific_force,
@@ -220,6 +225,8 @@ class ErrorStateFilter:
             resting,
         )
         self._skipped = 0.0
+        for ready in self._rest.push(sample):
+            step(self._x, self._R, self._P, self._memory, self._settings, *ready)
 
 
 def pose_covariance(R_nb: Matrix, P: Matrix) -> Matrix:

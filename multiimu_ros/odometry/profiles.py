@@ -30,6 +30,7 @@ class Profile:
     resting_s: float
     zero_velocity_sigma: float
     zero_velocity_time: float
+    rolling_arm: float
     motion_sigma: float
     motion_time: float
     motion_velocity_sigma: float
@@ -38,22 +39,23 @@ class Profile:
 
 
 FOOT = Profile(
-    # A flat foot still rolls at up to 0.4 rad/s and trembles by 2 m/s^2: with the threshold of
-    # 12 these two are the limits that published SHOE thresholds of 1e4..1e5 stand for.
-    still_rate_sigma=0.12,
-    still_force_sigma=0.6,
+    # With the threshold of 12 a flat foot may roll at 1.2 rad/s and tremble by 6 m/s^2, the SHOE
+    # thresholds of 1e5 that running needs; `rolling_arm` says how little such a stance tells.
+    still_rate_sigma=0.36,
+    still_force_sigma=1.8,
     # A standing person sways by about 0.01 rad/s and 0.05 m/s^2.
     resting_rate_sigma=0.015,
     resting_force_sigma=0.08,
     window_s=0.025,  # 5 samples at 200 Hz, the published window; a stance lasts 0.3 s
     resting_s=1.0,  # longer than any stance of a walk
-    zero_velocity_sigma=0.02,  # a rolling sole, 0.1 rad/s at 10 cm, half of it seen
-    zero_velocity_time=0.02,  # the roll of a stance is over in some ten milliseconds
+    zero_velocity_sigma=0.01,  # slip of a sole that does not roll
+    zero_velocity_time=0.01,  # a tremor of 15 Hz
+    rolling_arm=0.1,  # ankle or laces to the ball or heel on which the foot rolls
     motion_sigma=5.0,  # rms of a swing phase
     motion_time=0.1,  # a swing speeds up and slows down within 0.4 s
     motion_velocity_sigma=1.5,  # mean over a stride of a walk at 1.4 m/s
-    rate_scale_sigma=0.0,
-    force_scale_sigma=0.0,
+    rate_scale_sigma=0.01,  # a stride at 5 rad/s: scale, saturation, g-sensitivity
+    force_scale_sigma=0.03,  # strikes of 50 m/s^2 outrun the bandwidth of a cheap IMU
 )
 HAND = Profile(
     # Held, a hand is never still: only a rig that lies or stands on something is.
@@ -65,6 +67,7 @@ HAND = Profile(
     resting_s=0.5,  # a turning point of a slow sway is over by then
     zero_velocity_sigma=0.01,  # a table that is touched moves by less
     zero_velocity_time=0.05,
+    rolling_arm=0.0,  # it does not roll
     motion_sigma=0.5,  # slow handling; fast handling is seen in | |f| - g |
     motion_time=0.2,  # a hand reverses about once a second, omega = 6 rad/s
     motion_velocity_sigma=0.5,
@@ -81,6 +84,7 @@ VEHICLE = Profile(
     resting_s=1.0,  # the body still pitches for a second after a stop
     zero_velocity_sigma=0.02,  # a body that settles on its springs
     zero_velocity_time=0.2,
+    rolling_arm=0.0,
     motion_sigma=1.0,  # braking and turning, most of it level and unseen in | |f| - g |
     motion_time=2.0,  # a manoeuvre lasts seconds
     motion_velocity_sigma=10.0,
@@ -143,6 +147,7 @@ def odometry_configs(
         force_bias_walk=force_bias_walk,
         zero_velocity_sigma=profile.zero_velocity_sigma,
         zero_velocity_time=profile.zero_velocity_time,
+        rolling_arm=profile.rolling_arm,
         motion_sigma=profile.motion_sigma,
         motion_velocity_sigma=profile.motion_velocity_sigma,
         rate_scale_sigma=profile.rate_scale_sigma,
