@@ -25,7 +25,6 @@ PACKET = np.dtype(
         ('sum', '>u2'),
     ]
 )
-TICK_HZ = 64_000_000
 START_NS = 1_600_000_000 * NANOSECONDS  # the recordings carry no date
 FORCE = 9.80665 / 2048  # [m/s^2 per count], data sheet: 2048 LSB/g
 RATE = np.deg2rad(1 / 16.4)  # [rad/s per count], data sheet: 16.4 LSB/(deg/s)
@@ -41,7 +40,7 @@ def load(name):
     assert (np.diff(packets['seq']) == 1).all()  # uint16: the wrap is 1 too
     steps = np.diff(packets['ticks'])  # uint32: the wrap is a step too
     ticks = np.concatenate([[0], np.cumsum(steps, dtype=np.int64)])
-    stamp_ns = START_NS + ticks * NANOSECONDS // TICK_HZ
+    stamp_ns = START_NS + ticks * 125 // 8  # 64 MHz
     counts = packets['counts'].astype(np.float64)
     return [
         ImuSamples(stamp_ns, RATE * counts[:, k, 1], FORCE * counts[:, k, 0]) for k in range(IMUS)

@@ -1,0 +1,1 @@
+"""The desk tools: `multiimu VERB`, one file per verb."""
