@@ -13,19 +13,21 @@ from typing import get_args, Literal
 
 import numpy as np
 
-from multiimu_ros.arrays import Matrix, Scalars, Vector, Vectors
+from multiimu_ros.arrays import Vector, Vectors
 from multiimu_ros.calibration.sensor_model import affine
 from multiimu_ros.errors import ConfigError
+from multiimu_ros.fused_frame import FusedFrame, write_record
 from multiimu_ros.fusion.array_fusion import ArrayFusion, ArrayFusionConfig, FusedImu
 from multiimu_ros.fusion.rig_model import bias_walk_density, rig_model
 from multiimu_ros.odometry.attitude import AttitudeFilter
-from multiimu_ros.odometry.error_state import ErrorStateFilter, pose_covariance, twist_covariance
+from multiimu_ros.odometry.error_state import ErrorStateFilter
 from multiimu_ros.odometry.profiles import odometry_configs, PROFILES
 from multiimu_ros.odometry.zero_velocity import StillnessDetector
 from multiimu_ros.registration.transform import mounting
 from multiimu_ros.rig import Rig
-from multiimu_ros.rotations import as_quaternion
 from multiimu_ros.synchronization.synchronizer import Scan, SyncConfig, Synchronizer
+
+__all__ = ['FusedFrame', 'ImuHealth', 'Pipeline', 'PipelineConfig']
 
 Input = Literal['raw', 'calibrated', 'registered']
 ProfileName = Literal['hand', 'foot', 'vehicle']
@@ -77,48 +79,6 @@ class PipelineConfig:
                 known = ', '.join(f"'{choice}'" for choice in get_args(literal))
                 msg = f'`{name}` must be one of {known}, got {value!r}.'
                 raise ConfigError(msg)
-
-
-@dataclass(frozen=True)
-class FusedFrame:
-    """All that is known at one instant; rotations about fixed axes in the pose, as ROS has it.
-
-    Parameters
-    ----------
-    stamp_ns : int
-        Instant of the measurement [ns].
-    angular_rate, specific_force : (3,) arrays
-        The fused IMU at the base origin, rate without its estimated bias [rad/s], [m/s^2].
-    angular_rate_covariance, specific_force_covariance : (3, 3) arrays
-        What is unknown of them, biases included.
-    orientation, odom_orientation : (4,) arrays
-        Attitude [x, y, z, w] of the attitude filter and of the odometry filter.
-    orientation_covariance : (3, 3) array
-        Of the attitude filter, about fixed axes [rad^2].
-    still : bool
-        Whether the rig has no velocity.
-    position_n, velocity_b : (3,) arrays
-        Position in the odometry frame [m], velocity in the base frame [m/s].
-    pose_covariance, twist_covariance : (6, 6) arrays
-        Of position and rotation; of velocity and rate.
-    weights : (K,) array
-        Share of each IMU in the fused rate [-].
-    """
-
-    stamp_ns: int
-    angular_rate: Vector
-    angular_rate_covariance: Matrix
-    specific_force: Vector
-    specific_force_covariance: Matrix
-    orientation: Vector
-    orientation_covariance: Matrix
-    still: bool
-    position_n: Vector
-    odom_orientation: Vector
-    velocity_b: Vector
-    pose_covariance: Matrix
-    twist_covariance: Matrix
-    weights: Scalars
 
 
 @dataclass(frozen=True)
@@ -222,26 +182,12 @@ class Pipeline:
         return self._frame(fused, still)
 
     def _frame(self, fused: FusedImu, still: bool) -> FusedFrame:
-        R, P = self._attitude.R_nb, self._attitude.P
-        R_odom, P_odom = self._odometry.R_nb, self._odometry.P
-        velocity_n = self._odometry.velocity_n
-        rate_variance, force_variance = fused.variance[:3], fused.variance[3:]
-        return FusedFrame(
-            stamp_ns=fused.stamp_ns,
-            angular_rate=fused.values[:3] - self._attitude.gyro_bias,
-            angular_rate_covariance=np.diag(rate_variance) + P[3:, 3:],
-            specific_force=fused.values[3:],
-            specific_force_covariance=np.diag(force_variance + fused.bias_variance[3:]),
-            orientation=as_quaternion(R),
-            orientation_covariance=R @ P[:3, :3] @ R.T,
-            still=still,
-            position_n=self._odometry.position_n,
-            odom_orientation=as_quaternion(R_odom),
-            velocity_b=R_odom.T @ velocity_n,
-            pose_covariance=pose_covariance(R_odom, P_odom),
-            twist_covariance=twist_covariance(R_odom, velocity_n, P_odom, rate_variance),
-            weights=fused.weights,
-        )
+        attitude, odometry = self._attitude, self._odometry
+        record = write_record(
+            fused.table, attitude.R_nb, attitude.gyro_bias, attitude.P,
+            odometry.state, odometry.R_nb, odometry.P,
+        )  # fmt: skip
+        return FusedFrame(fused.stamp_ns, still, fused.weights, record)
 
     def set_enabled(self, imu: int, enabled: bool) -> None:
         """Leave one IMU out by hand, or take it back."""

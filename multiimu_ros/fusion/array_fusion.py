@@ -57,23 +57,39 @@ class FusedImu:
     ----------
     stamp_ns : int
         Instant of the measurement [ns].
-    values, variance : (6,) arrays
-        Angular rate [rad/s] and specific force [m/s^2], and their variances without the common
-        bias.
-    bias_variance : (6,) array
-        Prior variance of the common bias.
-    density : (6,) array
-        White noise density [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
+    table : (4, 6) array
+        Columns are angular rate, then specific force; the rows are the properties below.
     weights : (K,) array
         Mean share of each IMU in the fused rate, 0 for those left out [-].
     """
 
     stamp_ns: int
-    values: Vector
-    variance: Vector
-    bias_variance: Vector
-    density: Vector
+    table: Vectors
     weights: Scalars
+
+    @property
+    def values(self) -> Vector:
+        """Angular rate [rad/s] and specific force [m/s^2], (6,)."""
+        row: Vector = self.table[0]
+        return row
+
+    @property
+    def variance(self) -> Vector:
+        """Variance (6,) of the values, without that of the common bias."""
+        row: Vector = self.table[1]
+        return row
+
+    @property
+    def bias_variance(self) -> Vector:
+        """Prior variance (6,) of the common bias."""
+        row: Vector = self.table[2]
+        return row
+
+    @property
+    def density(self) -> Vector:
+        """White noise density (6,) [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)]."""
+        row: Vector = self.table[3]
+        return row
 
 
 class _State(NamedTuple):
@@ -129,7 +145,7 @@ class ArrayFusion:
         )
         if np.isnan(out[0, 0]):
             return None
-        return FusedImu(scan.stamp_ns, out[0], out[1], out[2], out[3], weights)
+        return FusedImu(scan.stamp_ns, out, weights)
 
 
 @compiled

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiimu_ros.arrays import as_vector, Matrix, Vector
+from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.error_dynamics import align, step
 from multiimu_ros.odometry.rest import RestBuffer, Sample
 from multiimu_ros.rotations import skew
@@ -112,6 +113,11 @@ class ErrorStateFilter:
         self._aligned = False
         self._rest = RestBuffer(config.resting_lag)
         self._skipped = 0.0  # [s] time of readings that were not finite
+
+    @property
+    def state(self) -> Vector:
+        """Nominal state (15,): position, velocity, (unused), gyro bias, accel bias."""
+        return self._x.copy()
 
     @property
     def position_n(self) -> Vector:
@@ -229,6 +235,7 @@ class ErrorStateFilter:
             step(self._x, self._R, self._P, self._memory, self._settings, *ready)
 
 
+@compiled
 def pose_covariance(R_nb: Matrix, P: Matrix) -> Matrix:
     """Return the covariance (6, 6) of position and rotation about fixed axes, as ROS has it.
 
@@ -242,9 +249,11 @@ def pose_covariance(R_nb: Matrix, P: Matrix) -> Matrix:
     J = np.zeros((6, 15))
     J[:3, :3] = np.eye(3)
     J[3:, 6:9] = R_nb  # R exp(theta) = exp(R theta) R
-    return np.asarray(J @ P @ J.T)
+    covariance: Matrix = J @ P @ J.T
+    return covariance
 
 
+@compiled
 def twist_covariance(R_nb: Matrix, velocity_n: Vector, P: Matrix, rate_variance: Vector) -> Matrix:
     """Return the covariance (6, 6) of velocity and angular rate, both in the body frame.
 
@@ -263,6 +272,6 @@ def twist_covariance(R_nb: Matrix, velocity_n: Vector, P: Matrix, rate_variance:
     J[:3, 3:6] = R_nb.T
     J[:3, 6:9] = skew(R_nb.T @ velocity_n)  # exp(-theta) v = v + v x theta
     J[3:, 9:12] = -np.eye(3)
-    covariance = J @ P @ J.T
+    covariance: Matrix = J @ P @ J.T
     covariance[3:, 3:] += np.diag(rate_variance)
-    return np.asarray(covariance)
+    return covariance

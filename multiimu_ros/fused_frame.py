@@ -1,0 +1,132 @@
+"""What the chain knows at one instant, in one record.
+
+A frame is 116 numbers in one array, written by one compiled call; the properties are views of it,
+so that a frame nobody reads costs next to nothing.
+"""
+
+import numpy as np
+
+from multiimu_ros.arrays import Matrix, Scalars, Vector, Vectors
+from multiimu_ros.compiled import compiled
+from multiimu_ros.odometry.error_state import pose_covariance, twist_covariance
+from multiimu_ros.rotations import as_quaternion
+
+RATE, FORCE, ORIENTATION, POSITION, ODOM_ORIENTATION, VELOCITY = 0, 3, 6, 10, 13, 17
+RATE_P, FORCE_P, ORIENTATION_P, POSE_P, TWIST_P, SIZE = 20, 29, 38, 47, 83, 119
+
+
+class FusedFrame:
+    """The fused IMU and the odometry at one instant; pose rotations are about fixed axes.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Instant of the measurement [ns].
+    still : bool
+        Whether the rig has no velocity.
+    weights : (K,) array
+        Share of each IMU in the fused rate [-].
+    record : (119,) array
+        The numbers behind the properties.
+    """
+
+    __slots__ = ('record', 'stamp_ns', 'still', 'weights')
+
+    def __init__(self, stamp_ns: int, still: bool, weights: Scalars, record: Vector) -> None:
+        self.stamp_ns = stamp_ns
+        self.still = still
+        self.weights = weights
+        self.record = record
+
+    @property
+    def angular_rate(self) -> Vector:
+        """Fused rate (3,) without its estimated bias, in the base frame [rad/s]."""
+        return self.record[RATE:FORCE]
+
+    @property
+    def specific_force(self) -> Vector:
+        """Fused specific force (3,) at the base origin [m/s^2]."""
+        return self.record[FORCE:ORIENTATION]
+
+    @property
+    def orientation(self) -> Vector:
+        """Attitude [x, y, z, w] of the attitude filter."""
+        return self.record[ORIENTATION:POSITION]
+
+    @property
+    def position_n(self) -> Vector:
+        """Position (3,) in the odometry frame [m]."""
+        return self.record[POSITION:ODOM_ORIENTATION]
+
+    @property
+    def odom_orientation(self) -> Vector:
+        """Attitude [x, y, z, w] of the odometry filter."""
+        return self.record[ODOM_ORIENTATION:VELOCITY]
+
+    @property
+    def velocity_b(self) -> Vector:
+        """Velocity (3,) in the base frame [m/s]."""
+        return self.record[VELOCITY:RATE_P]
+
+    @property
+    def angular_rate_covariance(self) -> Matrix:
+        """Covariance (3, 3) of the rate, its bias included [(rad/s)^2]."""
+        return self.record[RATE_P:FORCE_P].reshape(3, 3)
+
+    @property
+    def specific_force_covariance(self) -> Matrix:
+        """Covariance (3, 3) of the force, its bias included [(m/s^2)^2]."""
+        return self.record[FORCE_P:ORIENTATION_P].reshape(3, 3)
+
+    @property
+    def orientation_covariance(self) -> Matrix:
+        """Covariance (3, 3) of the attitude filter, about fixed axes [rad^2]."""
+        return self.record[ORIENTATION_P:POSE_P].reshape(3, 3)
+
+    @property
+    def pose_covariance(self) -> Matrix:
+        """Covariance (6, 6) of position and rotation of the odometry."""
+        return self.record[POSE_P:TWIST_P].reshape(6, 6)
+
+    @property
+    def twist_covariance(self) -> Matrix:
+        """Covariance (6, 6) of velocity and rate, in the base frame."""
+        return self.record[TWIST_P:SIZE].reshape(6, 6)
+
+
+@compiled
+def write_record(
+    fused: Vectors, R: Matrix, bias: Vector, P: Matrix, x: Vector, R_odom: Matrix, P_odom: Matrix
+) -> Vector:
+    """Return the record of a frame.
+
+    Parameters
+    ----------
+    fused : (3, 6) array
+        Fused readings, their variance and that of their common bias.
+    R, bias, P : (3, 3), (3,), (M, M) arrays
+        Attitude, gyro bias and covariance (attitude, gyro bias, ...) of the attitude filter.
+    x, R_odom, P_odom : (15,), (3, 3), (15, 15) arrays
+        State, attitude and covariance of the odometry filter.
+    """
+    record = np.zeros(SIZE)
+    record[RATE:FORCE] = fused[0, :3] - bias
+    record[FORCE:ORIENTATION] = fused[0, 3:]
+    record[ORIENTATION:POSITION] = as_quaternion(R)
+    record[POSITION:ODOM_ORIENTATION] = x[:3]
+    record[ODOM_ORIENTATION:VELOCITY] = as_quaternion(R_odom)
+    velocity = np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            velocity[i] += R_odom[j, i] * x[3 + j]
+            record[RATE_P + 3 * i + j] = P[3 + i, 3 + j]
+        record[RATE_P + 4 * i] += fused[1, i]
+        record[FORCE_P + 4 * i] = fused[1, 3 + i] + fused[2, 3 + i]
+    record[VELOCITY:RATE_P] = velocity
+    attitude = P[:3, :3].copy()
+    record[ORIENTATION_P:POSE_P] = (R @ attitude @ R.T).ravel()
+    record[POSE_P:TWIST_P] = pose_covariance(R_odom, P_odom).ravel()
+    record[TWIST_P:SIZE] = twist_covariance(
+        R_odom, x[3:6].copy(), P_odom, fused[1, :3].copy()
+    ).ravel()
+    return record
