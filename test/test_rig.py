@@ -112,6 +112,7 @@ def test_extrinsics_map_sensor_vectors_into_the_base():
     extrinsics = parse().imus[0].extrinsics
     # A quarter turn about z: the sensor's x looks along the rig's y; 5 typed digits are enough.
     assert_allclose(extrinsics.R_bs @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+    assert_allclose(np.linalg.norm(extrinsics.rotation), 1.0, rtol=1e-15)
     assert extrinsics.lever_arm_b.tolist() == [0.08, 0.0, 0.0]
 
 
@@ -209,6 +210,16 @@ def test_a_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch, ste
     assert rigs.load_rig(path) == parse()
 
 
+def test_a_full_disk_leaves_no_draft_behind(tmp_path, monkeypatch):
+    def full(_):
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(os, 'fsync', full)
+    with pytest.raises(ConfigError):
+        rigs.save_rig(parse(), tmp_path / 'rig.yaml')
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_folder_that_is_not_there_is_named(tmp_path):
     with pytest.raises(ConfigError, match=r'Cannot write the rig file .*: No such file'):
         rigs.save_rig(parse(), tmp_path / 'none' / 'rig.yaml')
@@ -227,8 +238,9 @@ def test_gravity_on_the_ellipsoid_is_the_published_one(latitude, published):
 
 def test_gravity_falls_with_height():
     fall = rigs.normal_gravity(45.0, 1000.0) - rigs.normal_gravity(45.0, 0.0)
-    # The free-air gradient at 45 degrees: -3.0855e-6 m/s^2 per m and +0.7e-12 per m^2.
-    assert_allclose(fall, -3.0855e-3 + 0.7e-6, atol=1e-6)
+    # GRS 80 (Moritz, 1980), the same ellipsoid to 0.1 mm: -(3.0877e-6 - 4.3e-9 sin^2) h
+    # + 0.72e-12 h^2, whose last digits are worth 1e-7 at 1 km.
+    assert_allclose(fall, -3.0877e-3 + 4.3e-6 / 2 + 0.72e-6, atol=1e-7)
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,7 @@ def test_logarithm_of_the_identity_is_zero():
     assert_allclose(rotations.log_so3(np.eye(3)), np.zeros(3), atol=0.0)
 
 
-@pytest.mark.parametrize('angle', [0.9e-6, 1.1e-6])
+@pytest.mark.parametrize('angle', [0.9e-6, 1.1e-6, 9e-3])
 def test_logarithm_agrees_on_both_sides_of_its_switch_over(angle):
     theta = np.array([0.0, angle, 0.0])
     assert_allclose(rotations.log_so3(rotations.exp_so3(theta)), theta, rtol=1e-12)
@@ -87,3 +87,20 @@ def test_renormalise_squares_the_error(theta, seed):
 def test_renormalise_leaves_a_rotation_alone():
     R = rotations.exp_so3(np.array([0.4, -1.2, 2.0]))
     assert_allclose(rotations.renormalise(R), R, atol=1e-15)
+
+
+@given(theta=turns(50.0))
+def test_quaternion_turns_as_the_matrix_does(theta):
+    q = rotations.as_quaternion(rotations.exp_so3(theta))
+    assert q[3] >= 0.0
+    assert_allclose(np.linalg.norm(q), 1.0, rtol=1e-15)
+    assert_allclose(Rotation.from_quat(q).as_matrix(), rotations.exp_so3(theta), atol=1e-13)
+
+
+@pytest.mark.parametrize('axis', [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0.8, 0.0)])
+@pytest.mark.parametrize('angle', [0.0, 1e-9, np.pi - 1e-9, np.pi])
+def test_quaternion_keeps_its_digits_where_an_element_vanishes(axis, angle):
+    q = rotations.as_quaternion(Rotation.from_rotvec(angle * np.array(axis)).as_matrix())
+    expected = [*(np.sin(0.5 * angle) * np.array(axis)), np.cos(0.5 * angle)]
+    # At half a turn an axis and its opposite are the same rotation.
+    assert_allclose(q * np.sign(q @ expected), expected, atol=1e-15)
