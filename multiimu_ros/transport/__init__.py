@@ -1,0 +1,1 @@
+"""From a device to blocks of bytes with the instant of their arrival."""
