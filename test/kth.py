@@ -30,6 +30,8 @@ FORCE = 9.80665 / 2048  # [m/s^2 per count], data sheet: 2048 LSB/g
 RATE = np.deg2rad(1 / 16.4)  # [rad/s per count], data sheet: 16.4 LSB/(deg/s)
 # IMUs 2, 4, 6, 8 are soldered to the other side: R_bs = [0 -1 0; -1 0 0; 0 0 -1].
 FLIPPED = [np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0]
+# 0.2 deg/s and 33 mm/s^2 of one sample at rest, over sqrt(62.5 Hz)
+TYPICAL = {'gyroscope': [4.4e-4] * 3, 'accelerometer': [4.2e-3] * 3}
 
 
 def load(name):
@@ -47,19 +49,19 @@ def load(name):
     ]
 
 
-def rig():
-    """Return the board as drawn, mounting and positions, with the noise of a typical IMU."""
+def rig(samples=None):
+    """Return the board as drawn: mounting and positions; noise of a typical IMU, or as measured.
+
+    `samples`, one ImuSamples per IMU, measure it over the first 10 s, when the board rests.
+    """
     lines = (data_set('kth_mimu_array') / 'IMU_positions.csv').read_text().splitlines()[1:]
     positions = np.array([[float(x) for x in line.split(',')[1:]] for line in lines]).T
-    noise = {  # 0.2 deg/s and 33 mm/s^2 of one sample at rest, over sqrt(62.5 Hz)
-        'noise_density': {'gyroscope': [4.4e-4] * 3, 'accelerometer': [4.2e-3] * 3},
-    }
     imus = [
         {
             'name': f'imu{k}',
             'frame_id': f'imu{k}_link',
             'model': 'MPU-9150',
-            'noise': noise,
+            'noise': {'noise_density': TYPICAL if samples is None else _at_rest(samples[k])},
             'extrinsics': {
                 'rotation': [float(x) for x in FLIPPED] if k % 2 else [0.0, 0.0, 0.0, 1.0],
                 'lever_arm': [float(x) for x in position],
@@ -69,6 +71,15 @@ def rig():
     ]
     head = {'name': 'mimu4444', 'gravity': 9.8184}  # Stockholm
     return parse_rig({'version': 1, 'rig': head, 'imus': imus}, 'kth')
+
+
+def _at_rest(samples):
+    rest = samples.select(samples.stamp_ns < samples.stamp_ns[0] + 10 * NANOSECONDS)
+    root = np.sqrt(rest.rate_hz)
+    return {
+        'gyroscope': (rest.angular_rate.std(axis=0) / root).tolist(),
+        'accelerometer': (rest.specific_force.std(axis=0) / root).tolist(),
+    }
 
 
 def write_bag(name, path, *, seconds=None):
