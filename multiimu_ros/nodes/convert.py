@@ -27,10 +27,11 @@ if TYPE_CHECKING:
 
 Reading = tuple[int, str, tuple[float, ...]]  # stamp [ns], frame, angular rate and specific force
 
-# By encapsulation: stamp and length of the frame's name; rate, force (a covariance between them).
+# By encapsulation: stamp and length of the frame's name; rate, force (a covariance between them);
+# the doubles' type.
 LAYOUTS = {
-    b'\x00\x01': (struct.Struct('<iII'), struct.Struct('<3d72x3d')),
-    b'\x00\x00': (struct.Struct('>iII'), struct.Struct('>3d72x3d')),
+    b'\x00\x01': (struct.Struct('<iII'), struct.Struct('<3d72x3d'), '<f8'),
+    b'\x00\x00': (struct.Struct('>iII'), struct.Struct('>3d72x3d'), '>f8'),
 }
 IMU_NUMBERS = 37  # quaternion 4, covariance 9, rate 3, covariance 9, force 3, covariance 9
 RATE_START = 13
@@ -52,26 +53,55 @@ def decode_imu(data: bytes) -> Reading | None:
         Stamp [ns], frame, and six floats: angular rate [rad/s], then specific force [m/s^2];
         None for bytes that are no Imu.
     """
+    head = _head(data)
+    if head is None:
+        return _decode_imu_slowly(data)
+    stamp_ns, frame_id, offset = head
+    values = LAYOUTS[data[:2]][1].unpack_from(data, offset + 8 * RATE_START)
+    return stamp_ns, frame_id, values
+
+
+def decode_imu_numbers(data: bytes) -> tuple[int, str, Vector] | None:
+    """Read one serialised sensor_msgs/Imu with its covariances, as (37,) numbers."""
+    head = _head(data)
+    if head is None:
+        return _decode_slowly(data)
+    stamp_ns, frame_id, offset = head
+    return stamp_ns, frame_id, np.frombuffer(data, LAYOUTS[data[:2]][2], IMU_NUMBERS, offset)
+
+
+def _head(data: bytes) -> tuple[int, str, int] | None:
+    """Return stamp [ns], frame and the place of the first double, or None if in doubt."""
     layout = LAYOUTS.get(data[:2])
-    if layout is not None and len(data) >= 16:
-        start, rate_and_force = layout
-        seconds, nanoseconds, length = start.unpack_from(data, 4)
-        numbers = 4 + (12 + length + 7 & -8)
-        if len(data) == numbers + 8 * IMU_NUMBERS and length > 0:
-            values = rate_and_force.unpack_from(data, numbers + 8 * RATE_START)
-            frame_id = data[16 : 15 + length].decode('utf-8', 'replace')
-            return seconds * NANOSECONDS + nanoseconds, frame_id, values
-    return _decode_imu_slowly(data)
+    if layout is None or len(data) < 16:
+        return None
+    seconds, nanoseconds, length = layout[0].unpack_from(data, 4)
+    offset = 4 + (12 + length + 7 & -8)
+    if length == 0 or len(data) != offset + 8 * IMU_NUMBERS:
+        return None
+    frame_id = data[16 : 15 + length].decode('utf-8', 'replace')
+    return seconds * NANOSECONDS + nanoseconds, frame_id, offset
 
 
 def _decode_imu_slowly(data: bytes) -> Reading | None:
+    reading = _decode_slowly(data)
+    if reading is None:
+        return None
+    stamp_ns, frame_id, numbers = reading
+    return stamp_ns, frame_id, (*numbers[RATE].tolist(), *numbers[FORCE].tolist())
+
+
+def _decode_slowly(data: bytes) -> tuple[int, str, Vector] | None:
     try:
         msg = deserialize_message(bytes(data), Imu)
     except RuntimeError:  # rclpy's RMWError
         return None
-    w, f = msg.angular_velocity, msg.linear_acceleration
+    q, w, f = msg.orientation, msg.angular_velocity, msg.linear_acceleration
+    numbers = [q.x, q.y, q.z, q.w, *msg.orientation_covariance, w.x, w.y, w.z]
+    numbers += [*msg.angular_velocity_covariance, f.x, f.y, f.z]
+    numbers += msg.linear_acceleration_covariance.tolist()
     stamp_ns = msg.header.stamp.sec * NANOSECONDS + msg.header.stamp.nanosec
-    return stamp_ns, msg.header.frame_id, (w.x, w.y, w.z, f.x, f.y, f.z)
+    return stamp_ns, msg.header.frame_id, np.array(numbers)
 
 
 class StampedEncoder:

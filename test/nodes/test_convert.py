@@ -29,6 +29,15 @@ def test_decoding_agrees_with_rclpy(frame_id, stamp_ns, six):
     assert convert.decode_imu(data) == (stamp_ns, frame_id, tuple(six))
 
 
+@given(frame_id=FRAMES, seed=st.integers(0, 99))
+def test_all_numbers_come_back_as_they_went(frame_id, seed):
+    numbers = np.random.default_rng(seed).standard_normal(37)
+    data = convert.StampedEncoder(frame_id).encode(7, numbers)
+    fast, slow = convert.decode_imu_numbers(data), convert._decode_slowly(data)
+    assert fast[:2] == slow[:2] == (7, frame_id)
+    assert fast[2].tolist() == slow[2].tolist() == numbers.tolist()
+
+
 @given(frame_id=FRAMES, stamp_ns=STAMPS, seed=st.integers(0, 99))
 def test_encoded_imu_is_read_by_rclpy(frame_id, stamp_ns, seed):
     numbers = np.random.default_rng(seed).standard_normal(37)

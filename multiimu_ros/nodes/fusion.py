@@ -1,0 +1,123 @@
+"""ROS 2 node: registered readings of all IMUs to one IMU and an odometry.
+
+`zero_velocity` is a geometry_msgs/TwistWithCovarianceStamped in the base frame, one per frame in
+which the rig stands still and none while it moves: a filter downstream takes it as a measurement.
+"""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from geometry_msgs.msg import TwistWithCovarianceStamped
+from nav_msgs.msg import Odometry
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import Imu
+from std_srvs.srv import SetBool, Trigger
+
+from multiimu_ros.errors import ConfigError
+from multiimu_ros.nodes import convert
+from multiimu_ros.nodes.biases import with_biases
+from multiimu_ros.nodes.diagnostics import Diagnostics, Status
+from multiimu_ros.nodes.inputs import declare_rig, ImuInputs
+from multiimu_ros.nodes.outputs import Output
+from multiimu_ros.nodes.parameters import declare, declare_config, warn_about_unused
+from multiimu_ros.nodes.run import run
+from multiimu_ros.nodes.statuses import FusionReport
+from multiimu_ros.nodes.transform import TransformOutput
+from multiimu_ros.nodes.watch import SilenceWatch
+from multiimu_ros.pipeline import FusedFrame, Input, Pipeline, PipelineConfig
+from multiimu_ros.rig import save_rig
+
+
+class FusionNode(Node):
+    """Hear `imu<k>/data_registered`; say `imu/data`, `odom` and `zero_velocity`."""
+
+    def __init__(
+        self, name: str = 'fusion', suffix: str = 'data_registered', kind: Input = 'registered'
+    ) -> None:
+        super().__init__(name)
+        self.rig = declare_rig(self)
+        self.pipeline = Pipeline(self.rig, declare_config(self, PipelineConfig, input=kind))
+        self._declare_outputs(self.rig.rig.base_frame)
+        self._serve()
+        self.inputs = ImuInputs(self, self.rig, suffix, convert.decode_imu, self.on_reading)
+        self._watch = SilenceWatch(self, self.inputs.streams, self.inputs.subscriptions)
+        self._fusion_report = FusionReport(self.pipeline, self.inputs.streams)
+        self.diagnostics = Diagnostics(self, self.rig.rig.name, self.report)
+        self.not_finite = 0
+        warn_about_unused(self)
+
+    def _declare_outputs(self, base_frame: str) -> None:
+        odom_frame = declare(self, 'odom_frame', 'odom', 'frame that the odometry starts in')
+        self._imu_encoder = convert.StampedEncoder(base_frame)
+        self._odometry_encoder = convert.StampedEncoder(odom_frame, base_frame)
+        self._imu = Output(self, Imu, 'imu/data')
+        self._odometry = Output(self, Odometry, 'odom')
+        self._zero_velocity = Output(self, TwistWithCovarianceStamped, 'zero_velocity')
+        publish_tf = declare(self, 'publish_tf', False, 'publish the transform odom -> base')
+        self._transform = TransformOutput(self, odom_frame, base_frame) if publish_tf else None
+
+    def _serve(self) -> None:
+        self.create_service(Trigger, '~/reset', self._on_reset)
+        self.create_service(Trigger, '~/save_biases', self._on_save_biases)
+        for k, name in enumerate(self.rig.names):
+            self.create_service(SetBool, f'~/enable_{name}', partial(self._on_enable, k))
+
+    def on_reading(self, k: int, stamp_ns: int, frame_id: str, values: tuple[float, ...]) -> None:
+        """Push one reading into the pipeline and publish what became due."""
+        del frame_id  # the rig file says where the IMU is
+        for frame in self.pipeline.push(k, stamp_ns, values):
+            self._publish(frame)
+
+    def _publish(self, frame: FusedFrame) -> None:
+        odometry = convert.odometry_numbers(frame)
+        imu = convert.fused_imu_numbers(frame)
+        if not (np.isfinite(odometry).all() and np.isfinite(imu).all()):
+            self.not_finite += 1
+            return
+        if self._imu.wanted:
+            self._imu.send(self._imu_encoder.encode(frame.stamp_ns, imu))
+        if self._odometry.wanted:
+            self._odometry.send(self._odometry_encoder.encode(frame.stamp_ns, odometry))
+        if frame.still and self._zero_velocity.wanted:
+            twist = convert.still_twist_numbers(frame)
+            self._zero_velocity.send(self._imu_encoder.encode(frame.stamp_ns, twist))
+        if self._transform is not None:
+            self._transform.send(frame)
+        self.diagnostics.latency.note(frame.stamp_ns)
+
+    def report(self) -> list[Status]:
+        """Return the statuses of fusion and of each IMU."""
+        self._watch.check(self.get_logger().warning)
+        return self._fusion_report.statuses(self.not_finite)
+
+    def _on_reset(self, _request: Any, response: Any) -> Any:
+        self.pipeline.reset()
+        response.success, response.message = True, 'Attitude, position and biases start anew.'
+        return response
+
+    def _on_enable(self, k: int, request: Any, response: Any) -> Any:
+        self.pipeline.set_enabled(k, request.data)
+        state = 'enabled' if request.data else 'disabled'
+        response.success, response.message = True, f'{self.rig.names[k]} is {state}.'
+        return response
+
+    def _on_save_biases(self, _request: Any, response: Any) -> Any:
+        path = Path(self.get_parameter('rig_file').value)
+        now_s = self.get_clock().now().nanoseconds * 1e-9
+        try:
+            save_rig(with_biases(self.rig, *self.pipeline.biases(), now_s), path)
+        except ConfigError as error:
+            response.success, response.message = False, str(error)
+        else:
+            response.success, response.message = (
+                True,
+                f'Saved to {path} for the next start.',
+            )
+        return response
+
+
+def main() -> int:
+    """Run until shutdown."""
+    return run(FusionNode)
