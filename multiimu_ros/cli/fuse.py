@@ -25,6 +25,19 @@ from multiimu_ros.rig import load_rig, Rig
 from multiimu_ros.samples import ImuSamples
 
 BLOCK = 4096  # frames written at a time
+COLUMNS = (
+    'angular_rate',
+    'angular_rate_covariance',
+    'specific_force',
+    'specific_force_covariance',
+    'orientation',
+    'orientation_covariance',
+    'position_n',
+    'odom_orientation',
+    'pose_covariance',
+    'velocity_b',
+    'twist_covariance',
+)
 
 app = typer.Typer(add_completion=False)
 
@@ -87,30 +100,33 @@ def _readings(samples: ImuSamples) -> Vector:
 
 def write_fused(frames: Iterator[FusedFrame], path: Path, rig: Rig, storage: str) -> float:
     """Write the frames as a bag, which vanishes if that fails; return the share of still ones."""
-    with BagWriter(path, storage) as bag:
-        try:
+    bag = BagWriter(path, storage)
+    still: list[bool] = []
+    block: list[FusedFrame] = []
+    try:
+        with bag:
             bag.add_topic('/imu/data', 'sensor_msgs/msg/Imu')
             bag.add_topic('/odom', 'nav_msgs/msg/Odometry')
-            block: list[FusedFrame] = []
-            count = still = 0
             for frame in frames:
                 block.append(frame)
-                count, still = count + 1, still + frame.still
+                still.append(frame.still)
                 if len(block) == BLOCK:
                     _write_block(bag, block, rig.rig.base_frame)
                     block.clear()
             _write_block(bag, block, rig.rig.base_frame)
-        except BaseException:
-            shutil.rmtree(path)
-            raise
-    return still / count if count else float('nan')
+    except BaseException:
+        shutil.rmtree(path)
+        raise
+    return float(np.mean(still)) if still else float('nan')
 
 
 def _write_block(bag: BagWriter, frames: list[FusedFrame], base_frame: str) -> None:
-    if not frames:
+    finite = [frame for frame in frames if np.isfinite(frame.record).all()]  # as the nodes do
+    if not finite:
         return
-    column = {name: np.array([getattr(f, name) for f in frames]) for name in vars(frames[0])}
-    samples = ImuSamples(column['stamp_ns'], column['angular_rate'], column['specific_force'])
+    column = {name: np.array([getattr(frame, name) for frame in finite]) for name in COLUMNS}
+    stamp_ns = np.array([frame.stamp_ns for frame in finite])
+    samples = ImuSamples(stamp_ns, column['angular_rate'], column['specific_force'])
     imus = encode_imus(
         base_frame,
         samples,

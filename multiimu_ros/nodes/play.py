@@ -12,6 +12,7 @@ from threading import Event, Thread
 import time
 
 import numpy as np
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -111,7 +112,10 @@ class PlayNode(Node):
                 break
             self._outputs[message.topic].publish(message.data)
             self._late.append(max(0.0, time.monotonic() - begin - passed_s))
-        self.get_logger().info(self._report(time.monotonic() - begin))
+        seconds = time.monotonic() - begin
+        for output in self._outputs.values():
+            output.wait_for_all_acked(Duration(seconds=1))
+        self.get_logger().info(self._report(seconds))
         if not self._stop.is_set():
             signal.raise_signal(signal.SIGTERM)  # `run` knows no other way to end
 
@@ -183,8 +187,8 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         '--wait',
         type=float,
-        default=2.0,
-        help='the longest wait until every topic has a subscriber [s]; default: 2',
+        default=5.0,
+        help='the longest wait until every topic has a subscriber [s]; default: 5',
     )
     return parser.parse_args(arguments)
 

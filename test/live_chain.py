@@ -1,0 +1,92 @@
+"""A bag through the separate nodes at its own speed, into another bag."""
+
+from contextlib import contextmanager
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import rclpy
+
+from multiimu_ros.bags import read_messages
+
+NODES = ('calibration', 'registration', 'fusion')
+START_S = 30.0  # until the graph stands; a cold numba cache compiles first
+NUMBERS = {'/imu/data': 37, '/odom': 85}  # doubles at the end of the message
+
+
+@contextmanager
+def process(verb, *arguments, domain):
+    """Run `multiimu <verb>`; at the end, interrupt it and expect exit code 0."""
+    environment = {
+        **os.environ,
+        'ROS_DOMAIN_ID': str(domain),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+    }
+    command = [sys.executable, '-m', 'multiimu_ros.cli', verb, *map(str, arguments)]
+    running = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
+    try:
+        yield running
+        running.send_signal(signal.SIGINT)
+        _, said = running.communicate(timeout=10)
+        assert running.returncode == 0, said
+    finally:
+        running.kill()
+        running.communicate()
+
+
+@contextmanager
+def observer(domain):
+    """Return a node of this process that sees the graph of `domain`."""
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node('observer', context=context)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def wait_until(condition, seconds, what):
+    """Wait until `condition()` holds."""
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until, f'{what} did not happen within {seconds} s'
+        time.sleep(0.05)
+
+
+def replay(bag, rig_file, output, *, domain, seconds):
+    """Play `bag` of `seconds` through calibration, registration and fusion; record `output`."""
+    with observer(domain) as node:
+        processes = [
+            process(name, '--ros-args', '-p', f'rig_file:={rig_file}', domain=domain)
+            for name in NODES
+        ]
+        record = process('record', '-o', output, '/imu/data', '/odom', domain=domain)
+        with processes[0], processes[1], processes[2], record:
+            topics = ('/imu0/data_calibrated', '/imu7/data_registered', '/imu/data', '/odom')
+            wait_until(
+                lambda: (
+                    all(map(node.count_publishers, topics))
+                    and all(map(node.count_subscribers, ('/imu7/data_raw', *topics)))
+                ),
+                START_S,
+                'the graph',
+            )
+            time.sleep(2.0)  # the nodes look once a second who listens
+            with process('play', bag, '--wait', '20', domain=domain) as play:
+                assert play.wait(seconds + 60) == 0
+            time.sleep(0.5)
+    return play
+
+
+def numbers(bag, topic):
+    """Return the stamps [ns] and the doubles of all messages of `topic`, (N,) and (N, M)."""
+    count = NUMBERS[topic]
+    messages = [message.data for message in read_messages(bag, [topic])]
+    stamps = np.array([np.frombuffer(data[4:12], '<i4') for data in messages], np.int64)
+    doubles = np.array([np.frombuffer(data[-8 * count :], '<f8') for data in messages])
+    return stamps[:, 0] * 1_000_000_000 + stamps[:, 1], doubles
