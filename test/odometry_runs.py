@@ -43,9 +43,7 @@ def read(motion, rng, rate_hz, noise_gain=1.0):
 
 def filters(profile):
     """Return detector, attitude and odometry filter for the IMU of `read`."""
-    configs = odometry_configs(
-        PROFILES[profile], G, RATE_BIAS, FORCE_BIAS, RATE_WALK, FORCE_WALK
-    )
+    configs = odometry_configs(PROFILES[profile], G, RATE_BIAS, FORCE_BIAS, RATE_WALK, FORCE_WALK)
     return StillnessDetector(configs[0]), AttitudeFilter(configs[1]), ErrorStateFilter(configs[2])
 
 
@@ -73,3 +71,18 @@ def run(profile, name, duration, rate_hz, seed, noise_gain=1.0):
             )
         )
     return out
+
+
+def to_start_frame(motion):
+    """Return attitudes, positions, velocities of the truth with the start's origin and yaw."""
+    first = motion.R_nb[0]
+    yaw = np.arctan2(first[1, 0], first[0, 0])
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    back = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    position = (motion.position_n - motion.position_n[0]) @ back.T
+    return back @ motion.R_nb, position, motion.velocity_n @ back.T
+
+
+def nees(error, covariance):
+    """Return the normalised estimation error squared, per axis: 1 on average if honest."""
+    return error @ np.linalg.solve(covariance, error) / len(error)

@@ -21,6 +21,7 @@ from multiimu_ros.arrays import as_vector, Matrix, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.kalman import scalar_update, transform_block, white_equivalent
 from multiimu_ros.odometry.rest import RestBuffer, Sample
+from multiimu_ros.odometry.strapdown import cross
 from multiimu_ros.rotations import exp_so3, renormalise, right_jacobian, skew
 
 GAP = 0.05  # [s] longer steps hide motion: 20 Hz is the slowest IMU that we call one
@@ -130,10 +131,9 @@ def _align(R: Matrix, P: Matrix, force: Vector, variance: Vector, gravity: float
 
 @compiled
 def _propagate(
-    R: Matrix, P: Matrix, rate: Vector, rate_variance: Vector, walk: Vector, dt: float
+    R: Matrix, P: Matrix, phi: Vector, rate_variance: Vector, walk: Vector, dt: float
 ) -> None:
-    """Turn by `rate` for `dt`; noise enters per axis [rad^2/s], [rad^2/s^3]."""
-    phi = rate * dt
+    """Turn by `phi` in `dt`; noise enters per axis [rad^2/s], [rad^2/s^3]."""
     F = np.eye(9)
     F[:3, :3] = exp_so3(-phi)
     F[:3, 3:6] = -dt * right_jacobian(phi)
@@ -169,15 +169,18 @@ def _step(
     radial = np.sqrt(np.sum(force**2)) - gravity
     memory[3] += dt / (RADIAL_TIME + dt) * (radial * radial - memory[3])
     if resting:
-        _propagate(R, P, np.zeros(3), np.full(3, resting_walk**2), walk, dt)
         for axis in range(3):
+            P[axis, axis] += resting_walk**2 * dt
+            P[3 + axis, 3 + axis] += walk[axis] * dt
             h = np.zeros(9)
             h[3 + axis] = 1.0
             noise = rate_density[axis] ** 2 / dt
             scalar_update(error, P, h, rate[axis] - bias[axis], noise, 6)
     else:
         hidden = gap_sigma**2 * max(0.0, dt - GAP) ** 2 / dt
-        _propagate(R, P, 0.5 * (rate + memory[:3]) - bias, rate_density**2 + hidden, walk, dt)
+        start, end = memory[:3] - bias, rate - bias
+        phi = 0.5 * dt * (start + end) + dt * dt / 12.0 * cross(start, end)  # coning
+        _propagate(R, P, phi, rate_density**2 + hidden, walk, dt)
         sigma = still_sigma if still else max(motion_sigma, np.sqrt(memory[3]))
         white = white + white_equivalent(sigma, motion_time, dt)
     _gravity_update(R, error, P, force, gravity, white)

@@ -139,13 +139,19 @@ def _credible(x: Vector, P: Matrix, variance: float) -> bool:
 
 
 @compiled
-def _hold(x: Vector, P: Matrix, variance: float) -> None:
-    """Set the velocity to zero, but for a tremor of `variance` that no other state shares."""
+def _hold(x: Vector, P: Matrix, velocity: float, turn: float, walks: Vector) -> None:
+    """Set the velocity to zero but for a tremor that no other state shares; let the rest walk.
+
+    `velocity`, `turn` and `walks` (6,) are the variances of tremor, attitude and biases.
+    """
     x[3:6] = 0.0
     P[3:6, :] = 0.0
     P[:, 3:6] = 0.0
-    for i in range(3, 6):
-        P[i, i] = variance
+    for i in range(3):
+        P[3 + i, 3 + i] = velocity
+        P[6 + i, 6 + i] += turn
+        P[9 + i, 9 + i] += walks[i]
+        P[12 + i, 12 + i] += walks[3 + i]
 
 
 @compiled
@@ -187,8 +193,7 @@ def step(
     if resting:
         if memory[6] == 0.0:  # the last of what the velocity tells about the other states
             _zero_velocity(x, R, P, white_equivalent(resting_velocity, velocity_time, dt))
-        _hold(x, P, resting_velocity**2)
-        _add_noise(P, R, np.full(3, resting_walk**2), np.zeros(3), walks, dt)
+        _hold(x, P, resting_velocity**2, resting_walk**2 * dt, walks * dt)
         error = np.zeros(15)
         _update_direct(error, P, 9, rate - x[9:12], rate_density**2 / dt)
         residual = force - x[12:15] - gravity * R[2]

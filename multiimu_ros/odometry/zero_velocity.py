@@ -249,7 +249,7 @@ class StillnessDetector:
         Parameters
         ----------
         dt : float
-            Time since the previous sample [s].
+            Time since the previous sample [s]; the nominal step for the first one.
         angular_rate, specific_force : (3,) arrays
             Readings of the fused IMU [rad/s], [m/s^2]; after a NaN the window fills anew.
         rate_density, force_density : (3,) arrays
@@ -260,6 +260,9 @@ class StillnessDetector:
         still, resting : bool
             Zero velocity; zero velocity and rate for at least `resting_s`.
         """
+        if not dt > 0:
+            msg = f'`dt` must be positive, got {dt}; for the first sample pass the nominal step.'
+            raise ValueError(msg)
         still, resting = _push(
             self._samples,
             self._steps,
