@@ -61,4 +61,6 @@ $(READY): requirements.txt requirements-dev.txt setup.py
 		{ echo 'Install the venv module: `apt-get install python3-venv`.'; exit 1; }
 	$(BIN)/python -m pip install --quiet -r requirements-dev.txt
 	$(BIN)/python -m pip install --quiet --no-build-isolation --no-deps --editable .
+	@echo 'Compiling the kernels once, so that the first node need not wait ...'
+	$(BIN)/python examples/pipeline_in_a_loop.py
 	@touch $@
