@@ -1,11 +1,13 @@
 """`emulator`: a virtual serial port that speaks the protocol of the firmware, without ROS."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
 import os
 from pathlib import Path
 import select
 import signal
 import sys
+from threading import Event
 from typing import Annotated
 
 import typer
@@ -61,26 +63,27 @@ def emulator(
 
     The motion begins when the port is first opened, and the program ends with it, or on Ctrl-C.
     """
-    recording = _record(rig, motion, rate, duration, seed)
-    faults = FaultPlan(len(recording.raw))
-    for text in fault or []:
-        faults.command(text)
-    if calibrated is not None:
-        save_rig(calibrated_rig(recording.rig, seed), calibrated)
+    with _stop_signals() as stop:
+        recording = _record(rig, motion, rate, duration, seed)
+        faults = FaultPlan(len(recording.raw))
+        for text in fault or []:
+            faults.command(text)
+        if calibrated is not None:
+            save_rig(calibrated_rig(recording.rig, seed), calibrated)
 
-    def write_truth(start_ns: int) -> None:
-        if truth is not None:
-            save_truth(truth, recording.truth, recording.truth_ns + start_ns)
+        def write_truth(start_ns: int) -> None:
+            if truth is not None:
+                save_truth(truth, recording.truth, recording.truth_ns + start_ns)
 
-    device = EmulatedDevice(recording, faults, skew_ppm=skew_ppm, dropout=dropout, seed=seed)
-    port = VirtualPort(link)
-    board = EmulatedBoard(device, port, faults, write_truth)
-    what = f'{recording.rig.rig.name} ({len(recording.raw)} IMUs x {rate:g} Hz), {motion}'
-    typer.echo(port.path if print_port else f'{what}, {duration:g} s, on {port.path}')
-    try:
-        _run(board, faults)
-    finally:
-        port.unplug()
+        device = EmulatedDevice(recording, faults, skew_ppm=skew_ppm, dropout=dropout, seed=seed)
+        port = VirtualPort(link)
+        what = f'{recording.rig.rig.name} ({len(recording.raw)} IMUs x {rate:g} Hz), {motion}'
+        typer.echo(port.path if print_port else f'{what}, {duration:g} s, on {port.path}')
+        board = EmulatedBoard(device, port, faults, write_truth)
+        try:
+            _run(board, faults, stop)
+        finally:
+            port.unplug()
     if not print_port:
         typer.echo(f'{board.sent_bytes} bytes sent, {port.lost_bytes} of them lost in the port.')
 
@@ -96,27 +99,26 @@ def _record(rig: Path, motion: str, rate: float, duration: float, seed: int) -> 
     return simulate(board, path, rate, seed=seed, timing=Timing(stagger=stagger, start_ns=0))
 
 
-@dataclass
-class _Stop:
-    """Set by SIGINT and SIGTERM, which end the program as well as the end of the motion does."""
-
-    asked: bool = False
-
-    def __call__(self, _signal: int, _frame: object) -> None:
-        self.asked = True
-
-
-def _run(board: EmulatedBoard, faults: FaultPlan) -> None:
-    stop = _Stop()
-    before = {s: signal.signal(s, stop) for s in (signal.SIGINT, signal.SIGTERM)}
-    listening = True
+@contextmanager
+def _stop_signals() -> Iterator[Event]:
+    """Give an event that SIGINT and SIGTERM set, so that they end the program like the motion."""
+    stop = Event()
+    before = {
+        number: signal.signal(number, lambda *_: stop.set())
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
-        while not (stop.asked or board.finished):
-            board.step()
-            listening = listening and _obey_stdin(board, faults)
+        yield stop
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _run(board: EmulatedBoard, faults: FaultPlan, stop: Event) -> None:
+    listening = True
+    while not (stop.is_set() or board.finished):
+        board.step()
+        listening = listening and _obey_stdin(board, faults)
 
 
 def _obey_stdin(board: EmulatedBoard, faults: FaultPlan) -> bool:

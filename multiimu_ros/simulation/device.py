@@ -47,8 +47,8 @@ class EmulatedDevice:
         seed: int = 0,
     ) -> None:
         self._faults = faults
-        self._instants = np.column_stack([samples.stamp_ns for samples in recording.raw])
         self._counts = counts_of(recording)
+        self._instants = np.column_stack([samples.stamp_ns for samples in recording.raw])
         self._due = self._instants.max(axis=1) / NANOSECONDS + READ_TIME
         self._hello = _hello_of(recording)
         self._tick_rate = 1e6 * (1 + 1e-6 * skew_ppm)
