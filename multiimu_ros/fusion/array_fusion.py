@@ -229,7 +229,7 @@ def _align(
     variance that is the bias's.
     """
     square = out[0] ** 2
-    mean = np.zeros(6)
+    mean, drift = np.zeros(6), np.zeros(6)
     for i in range(len(z)):
         for axis in range(6):
             if b[i, axis] > 0.0:
@@ -252,6 +252,8 @@ def _align(
             out[2, axis] += part * bias
             out[3, axis] += part * model.density[i, axis] ** 2
             if bias > 0.0:
-                trusted = gain * bias / (bias + from_scale)
-                state.offsets[i, axis] += trusted * (z[i, axis] - mean[axis])
+                step = gain * bias / (bias + from_scale) * (z[i, axis] - mean[axis])
+                state.offsets[i, axis] += step
+                drift[axis] += b[i, axis] * step
+    state.offsets[:] -= drift  # IMUs of different age or scale: keep sum b_i e_i as it is
     out[3] = np.sqrt(out[3])

@@ -100,6 +100,14 @@ def test_the_offsets_are_the_differences_of_the_biases(rng):
     assert_allclose(frames[-1].bias_variance, 0.01 / 3, rtol=1e-9)
 
 
+def test_an_imu_that_speaks_first_does_not_impose_its_bias(rng):
+    bias = 0.05 * rng.standard_normal((4, 6))
+    readings = bias + 1e-6 * rng.standard_normal((500, 4, 6))
+    readings[:3, 1:] = np.nan
+    values, _ = fuse(ArrayFusion(model_of(4, bias_sigma=0.1), CONFIG), readings)
+    assert_allclose(values[3:], np.broadcast_to(bias.mean(axis=0), values[3:].shape), atol=2e-5)
+
+
 def test_errors_of_scale_count_in_the_variance():
     model = model_of(2)._replace(scale_variance=np.tile(1e-4 * np.eye(6), (2, 1, 1)))
     readings = np.tile([2.0, 0.0, 0.0, 0.0, 0.0, 9.81], (50, 2, 1))
