@@ -1,0 +1,76 @@
+"""ROS 2 node: watch the fused output and say on stdout, as lines of JSON, how the graph fares."""
+
+import json
+import sys
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TwistWithCovarianceStamped
+import numpy as np
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Imu
+
+from multiimu_ros.nodes.convert import decode_imu
+from multiimu_ros.nodes.run import run
+
+PERIOD_S = 0.25
+STAGES = ('data_raw', 'data_calibrated', 'data_registered')
+
+
+class MonitorNode(Node):
+    """Hear `imu/data`, `zero_velocity` and `/diagnostics`; write a line four times a second."""
+
+    def __init__(self) -> None:
+        super().__init__('monitor')
+        self._last_imu = self.declare_parameter('last_imu', 'imu7').value
+        self._ages: list[float] = []
+        self._stamp_ns = self._still_ns = 0
+        self._received = 0
+        self._begin = time.monotonic()
+        self._figures: dict[str, dict[str, str]] = {}
+        best_effort = qos_profile_sensor_data
+        self.create_subscription(Imu, 'imu/data', self._on_imu, best_effort, raw=True)
+        self.create_subscription(
+            TwistWithCovarianceStamped, 'zero_velocity', self._on_still, best_effort
+        )
+        self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 50)
+        self.create_timer(PERIOD_S, self._tell)
+
+    def _on_imu(self, data: bytes) -> None:
+        now_ns = time.time_ns()
+        reading = decode_imu(data)
+        if reading is not None:
+            self._received += 1
+            self._stamp_ns = reading[0]
+            self._ages.append((now_ns - self._stamp_ns) * 1e-9)
+
+    def _on_still(self, msg: Any) -> None:
+        self._still_ns = msg.header.stamp.sec * 10**9 + msg.header.stamp.nanosec
+
+    def _on_diagnostics(self, msg: Any) -> None:
+        for status in msg.status:
+            figures = {value.key: value.value for value in status.values}
+            self._figures[status.name] = figures | {'message': status.message}
+
+    def _tell(self) -> None:
+        now, ages = time.monotonic(), self._ages
+        listening = [self.count_subscribers(f'{self._last_imu}/{stage}') for stage in STAGES]
+        line = {
+            'ready': all(listening) and self.count_publishers('imu/data') > 0,
+            'received': self._received,
+            'rate_hz': len(ages) / (now - self._begin),
+            'still': self._stamp_ns - self._still_ns < 1e9 * PERIOD_S / 2,
+            'age_p50_s': float(np.median(ages)) if ages else None,
+            'age_p99_s': float(np.quantile(ages, 0.99)) if ages else None,
+            'figures': self._figures,
+        }
+        self._ages, self._begin = [], now
+        sys.stdout.write(json.dumps(line) + '\n')
+        sys.stdout.flush()
+
+
+def main() -> int:
+    """Run until shutdown."""
+    return run(MonitorNode)

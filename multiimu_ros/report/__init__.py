@@ -1,0 +1,1 @@
+"""Scores against a known truth, figures and pages; nothing else imports matplotlib."""
