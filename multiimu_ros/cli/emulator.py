@@ -23,6 +23,8 @@ from multiimu_ros.simulation.trajectories import trajectory
 from multiimu_ros.simulation.truth import save_truth
 from multiimu_ros.simulation.virtual_port import VirtualPort
 
+STDIN = 0
+
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
 
@@ -118,16 +120,16 @@ def _run(board: EmulatedBoard, faults: FaultPlan, stop: Event) -> None:
     listening = True
     while not (stop.is_set() or board.finished):
         board.step()
-        listening = listening and _obey_stdin(board, faults)
+        listening = listening and _obey(STDIN, board, faults)
 
 
-def _obey_stdin(board: EmulatedBoard, faults: FaultPlan) -> bool:
-    """Obey a line of faults from stdin, if there is one; say whether more may come."""
+def _obey(file: int, board: EmulatedBoard, faults: FaultPlan) -> bool:
+    """Obey the lines of faults that wait in a file, if any; say whether more may come."""
     try:
-        if not select.select([0], [], [], 0.0)[0]:
+        if not select.select([file], [], [], 0.0)[0]:
             return True
-        lines = os.read(0, 4096).decode(errors='replace')
-    except OSError:  # stdin is closed
+        lines = os.read(file, 4096).decode(errors='replace')
+    except OSError:  # it is closed
         return False
     for line in lines.splitlines():
         try:

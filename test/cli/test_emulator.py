@@ -5,6 +5,7 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 from multiimu_ros.cli import emulator
 from multiimu_ros.errors import ConfigError
 from multiimu_ros.rig import load_rig
+from multiimu_ros.simulation.faults import FaultPlan
 from multiimu_ros.simulation.truth import load_truth
 from multiimu_ros.wire.decoder import FrameDecoder
 from multiimu_ros.wire.packets import Scan
@@ -96,6 +98,59 @@ def test_a_bad_option_is_one_sentence_and_exit_code_1():
     _, err = process.communicate(timeout=10)
     assert (process.returncode, err.count('\n')) == (1, 1)
     assert err.startswith('`motion` must be one of static')
+
+
+def test_a_run_inside_this_process_says_what_it_does_and_did(tmp_path):
+    link = tmp_path / 'board'
+    scans = []
+
+    def drive():
+        end = time.monotonic() + 10
+        while not link.exists() and time.monotonic() < end:
+            time.sleep(0.01)
+        scans.extend(read_scans(link, lambda _: False))
+
+    driver = threading.Thread(target=drive)
+    driver.start()
+    options = f'--rig {RIG} --motion static --duration 0.5 --link {link} --fault dead:0'.split()
+    files = ['--truth', str(tmp_path / 't.npz'), '--calibrated-rig', str(tmp_path / 'r.yaml')]
+    result = CliRunner().invoke(emulator.app, options + files, catch_exceptions=False)
+    driver.join()
+    assert result.exit_code == 0
+    assert f'row3 (3 IMUs x 200 Hz), static, 0.5 s, on {link}' in result.output
+    assert 'bytes sent, 0 of them lost' in result.output
+    assert (tmp_path / 't.npz').exists()
+    assert (tmp_path / 'r.yaml').exists()
+    assert all(sorted(scan.imus) == [1, 2] for scan in scans)
+
+
+class Clock:
+    """All that obeying needs of a board."""
+
+    def now(self):
+        return 5.0
+
+
+def test_commands_are_obeyed_until_their_file_ends(capsys):
+    plan = FaultPlan(2)
+    out, into = os.pipe()
+    assert emulator._obey(out, Clock(), plan)  # nothing has come yet
+    os.write(into, b'stuck:1\nnonsense\n')
+    assert emulator._obey(out, Clock(), plan)
+    assert (plan.kind_of(1, 4.9), plan.kind_of(1, 5.0)) == (None, 'stuck')
+    assert 'got `nonsense`' in capsys.readouterr().err
+    os.close(into)
+    assert not emulator._obey(out, Clock(), plan)
+    os.close(out)
+    assert not emulator._obey(out, Clock(), plan)
+
+
+def test_main_turns_an_error_into_one_sentence(monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'argv', ['emulator', '--rig', 'nowhere.yaml'])
+    with pytest.raises(SystemExit) as ended:
+        emulator.main()
+    assert ended.value.code == 1
+    assert capsys.readouterr().err.startswith('Cannot read the rig file `nowhere.yaml`')
 
 
 def test_help_shows_an_example():
