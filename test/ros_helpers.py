@@ -74,6 +74,7 @@ def node_process(name, *ros_arguments, **parameters):
         yield process
     finally:
         process.close()
+        sys.stdout.write(process.text)  # pytest shows it where the test fails
 
 
 class Peer:

@@ -20,7 +20,7 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu
 
-from multiimu_ros.arrays import NANOSECONDS, Vector
+from multiimu_ros.arrays import Matrix, NANOSECONDS, Vector
 
 if TYPE_CHECKING:
     from multiimu_ros.pipeline import FusedFrame
@@ -36,6 +36,8 @@ LAYOUTS = {
 IMU_NUMBERS = 37  # quaternion 4, covariance 9, rate 3, covariance 9, force 3, covariance 9
 RATE_START = 13
 RATE, FORCE = slice(13, 16), slice(25, 28)  # where they stand among the 37
+# A valid quaternion, for consumers that normalise before they look; then -1: no orientation.
+NO_ORIENTATION = np.array([0.0, 0.0, 0.0, 1.0, -1.0, *np.zeros(8)])
 RATE_COVARIANCE, FORCE_COVARIANCE = slice(16, 25), slice(28, 37)
 
 
@@ -130,25 +132,18 @@ class StampedEncoder:
         return b'\x00\x01\x00\x00' + stamp + self._names + doubles
 
 
-def imu_numbers(
-    rate_covariance: Vector, force_covariance: Vector, values: Vector | None = None
-) -> Vector:
-    """Return the (37,) numbers of an Imu without orientation (its first covariance is -1).
+def imu_numbers(rate_covariance: Matrix, force_covariance: Matrix) -> Vector:
+    """Return the (37,) numbers of an Imu without orientation; RATE and FORCE are to be filled in.
 
     Parameters
     ----------
     rate_covariance, force_covariance : (3, 3) arrays
-        Of the angular rate [rad^2/s^2] and the specific force [m^2/s^4].
-    values : (6,) array, optional
-        Angular rate, specific force; may be written to RATE and FORCE later.
+        Of the angular rate [rad^2/s^2] and the specific force [m^2/s^4]; zeros are unknown.
     """
     numbers = np.zeros(IMU_NUMBERS)
-    numbers[3] = 1.0  # a valid quaternion, for consumers that normalise before they look
-    numbers[4] = -1.0
-    numbers[RATE_COVARIANCE] = np.ravel(rate_covariance)
-    numbers[FORCE_COVARIANCE] = np.ravel(force_covariance)
-    if values is not None:
-        numbers[RATE], numbers[FORCE] = values[:3], values[3:]
+    numbers[:13] = NO_ORIENTATION
+    numbers[RATE_COVARIANCE] = rate_covariance.ravel()
+    numbers[FORCE_COVARIANCE] = force_covariance.ravel()
     return numbers
 
 
