@@ -19,8 +19,13 @@ import numpy as np
 
 from multiimu_ros.arrays import as_vector, Matrix, Vector
 from multiimu_ros.compiled import compiled
-from multiimu_ros.odometry.kalman import scalar_update, transform_block, white_equivalent
-from multiimu_ros.odometry.rest import RestBuffer, Sample
+from multiimu_ros.odometry.kalman import (
+    propagate,
+    scalar_update,
+    transform_block,
+    white_equivalent,
+)
+from multiimu_ros.odometry.rest import finite, RestBuffer, Sample
 from multiimu_ros.odometry.strapdown import cross
 from multiimu_ros.rotations import exp_so3, renormalise, right_jacobian, skew
 
@@ -137,7 +142,7 @@ def _propagate(
     F = np.eye(9)
     F[:3, :3] = exp_so3(-phi)
     F[:3, 3:6] = -dt * right_jacobian(phi)
-    P[:] = F @ P @ F.T
+    propagate(P, F)
     for i in range(3):
         P[i, i] += rate_variance[i] * dt + walk[i] * dt**3 / 3.0
         P[i, 3 + i] -= walk[i] * dt**2 / 2.0
@@ -207,14 +212,15 @@ class AttitudeFilter:
         self._bias = np.zeros(3)
         sigmas = (np.ones(3), config.rate_bias_sigma, config.force_bias_sigma)
         self._P = np.diag(np.square(np.concatenate(sigmas)))
-        self._memory = np.full(4, np.nan)
+        self._memory = np.zeros(4)
+        self._aligned = self._started = False
         self._rest = RestBuffer(config.resting_lag)
         self._skipped = 0.0  # [s] time of readings that were not finite
 
     @property
     def aligned(self) -> bool:
         """Whether the attitude has been set by `align` or a first `push`."""
-        return bool(np.isfinite(self._memory[3]))
+        return self._aligned
 
     @property
     def R_nb(self) -> Matrix:
@@ -250,7 +256,7 @@ class AttitudeFilter:
         """
         force = as_vector(specific_force, 'specific_force')
         _align(self._R, self._P, force, np.full(3, force_sigma**2), float(self._settings[5]))
-        self._memory[3] = 0.0
+        self._aligned = True
 
     def push(
         self,
@@ -275,13 +281,14 @@ class AttitudeFilter:
         still, resting : bool
             What the zero-velocity detector says.
         """
-        if not np.isfinite(angular_rate.sum() + specific_force.sum()):
+        if not finite(angular_rate, specific_force):
             self._skipped += dt
             return
-        if not self.aligned:
+        if not self._aligned:
             self.align(specific_force, float(self._settings[1 if still else 0]))
-        if np.isnan(self._memory[0]):
+        if not self._started:
             self._memory[:3] = angular_rate
+            self._started = True
             return
         sample = Sample(
             dt + self._skipped,

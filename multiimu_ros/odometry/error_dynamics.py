@@ -10,7 +10,12 @@ import numpy as np
 from multiimu_ros.arrays import Matrix, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.attitude import GAP, level
-from multiimu_ros.odometry.kalman import scalar_update, transform_block, white_equivalent
+from multiimu_ros.odometry.kalman import (
+    propagate,
+    scalar_update,
+    transform_block,
+    white_equivalent,
+)
 from multiimu_ros.odometry.strapdown import increments
 from multiimu_ros.rotations import exp_so3, renormalise, right_jacobian, skew
 
@@ -84,7 +89,7 @@ def _move(
         rate0 - x[9:12], force0 - x[12:15], rate1 - x[9:12], force1 - x[12:15], dt
     )
     F = transition(R, phi, dv, dp, dt)
-    P[:] = F @ P @ F.T
+    propagate(P, F)
     x[0:3] += dt * x[3:6] + R @ dp
     x[3:6] += R @ dv
     x[2] -= 0.5 * gravity * dt * dt

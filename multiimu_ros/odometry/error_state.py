@@ -21,7 +21,7 @@ import numpy as np
 from multiimu_ros.arrays import as_vector, Matrix, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.error_dynamics import align, step
-from multiimu_ros.odometry.rest import RestBuffer, Sample
+from multiimu_ros.odometry.rest import finite, RestBuffer, Sample
 from multiimu_ros.rotations import skew
 
 
@@ -109,8 +109,8 @@ class ErrorStateFilter:
         self._R = np.eye(3)
         sigmas = (np.zeros(6), np.ones(3), config.rate_bias_sigma, config.force_bias_sigma)
         self._P = np.diag(np.square(np.concatenate(sigmas)))
-        self._memory = np.full(8, np.nan)
-        self._aligned = False
+        self._memory = np.zeros(8)
+        self._aligned = self._started = False
         self._rest = RestBuffer(config.resting_lag)
         self._skipped = 0.0  # [s] time of readings that were not finite
 
@@ -166,7 +166,7 @@ class ErrorStateFilter:
         self._P[:6, :] = 0.0
         self._P[:, :6] = 0.0
         self._P[3:6, 3:6] = np.eye(3) * self._config.motion_velocity_sigma**2
-        self._memory[:] = np.nan
+        self._started = False
         self._rest.clear()
         self._skipped = 0.0
 
@@ -211,15 +211,16 @@ class ErrorStateFilter:
         still, resting : bool
             What the zero-velocity detector says.
         """
-        if not np.isfinite(angular_rate.sum() + specific_force.sum()):
+        if not finite(angular_rate, specific_force):
             self._skipped += dt
             return
         if not self._aligned:
             self.align(
                 specific_force, self._config.motion_sigma, self._config.motion_velocity_sigma
             )
-        if np.isnan(self._memory[0]):
+        if not self._started:
             self._memory[:] = (*angular_rate, *specific_force, 0.0, 0.0)
+            self._started = True
             return
         sample = Sample(
             dt + self._skipped,

@@ -58,6 +58,29 @@ def scalar_update(
 
 
 @compiled
+def propagate(P: Matrix, F: Matrix) -> None:
+    """Replace P (n, n) by F P F'; passes over the zeros of F, which are most of it."""
+    n = len(P)
+    half = np.zeros((n, n))
+    for i in range(n):
+        for k in range(n):
+            f = F[i, k]
+            if f != 0.0:
+                for j in range(n):
+                    half[i, j] += f * P[k, j]
+    P[:] = 0.0
+    for i in range(n):
+        for k in range(n):
+            f = F[i, k]
+            if f != 0.0:
+                for j in range(i + 1):
+                    P[j, i] += half[j, k] * f
+    for i in range(n):
+        for j in range(i):
+            P[i, j] = P[j, i]
+
+
+@compiled
 def transform_block(P: Matrix, G: Matrix, first: int) -> None:
     """Replace the error e[first:first+3] by G (3, 3) times itself, in the covariance P (n, n)."""
     n = len(P)

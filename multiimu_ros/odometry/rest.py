@@ -7,6 +7,7 @@ makes up for what is younger, as motion.
 """
 
 from collections import deque
+import math
 from typing import NamedTuple
 
 from multiimu_ros.arrays import Vector
@@ -22,6 +23,11 @@ class Sample(NamedTuple):
     force_density: Vector
     still: bool
     resting: bool
+
+
+def finite(angular_rate: Vector, specific_force: Vector) -> bool:
+    """Say whether all of a reading is finite; one dot product is the quickest way to ask."""
+    return math.isfinite(angular_rate.dot(angular_rate) + specific_force.dot(specific_force))
 
 
 class RestBuffer:

@@ -3,7 +3,12 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from multiimu_ros.odometry.kalman import scalar_update, transform_block, white_equivalent
+from multiimu_ros.odometry.kalman import (
+    propagate,
+    scalar_update,
+    transform_block,
+    white_equivalent,
+)
 
 
 def covariance(rng, n):
@@ -45,6 +50,15 @@ def test_a_nan_changes_nothing(rng):
     scalar_update(error, updated, np.eye(6)[2], 1.0, np.nan, 6)
     assert not error.any()
     assert (updated == P).all()
+
+
+def test_propagation_over_zeros_is_the_matrix_product(rng):
+    P, F = covariance(rng, 15), rng.standard_normal((15, 15))
+    F[rng.random((15, 15)) < 0.6] = 0.0
+    propagated = P.copy()
+    propagate(propagated, F)
+    assert_allclose(propagated, F @ P @ F.T, rtol=1e-12, atol=1e-12)
+    assert (propagated == propagated.T).all()
 
 
 def test_transform_is_a_congruence(rng):
