@@ -118,7 +118,7 @@ class Peer:
         publishers = [self.publisher(topic) for topic in inputs]
         self.wait_until(lambda: all(p.get_subscription_count() for p in publishers))
         self.wait_until(lambda: all(self.node.count_publishers(topic) for topic in outputs))
-        self.spin(0.3)  # the far side learns of the match a little later
+        self.spin(0.7)  # the far side learns of the match a little later
 
     def call(self, kind, name, request, timeout_s=5.0):
         client = self.node.create_client(kind, name)

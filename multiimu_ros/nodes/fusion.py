@@ -29,6 +29,15 @@ from multiimu_ros.nodes.watch import SilenceWatch
 from multiimu_ros.pipeline import FusedFrame, Input, Pipeline, PipelineConfig
 from multiimu_ros.rig import save_rig
 
+REST = (0.0, 0.0, 0.0, 0.0, 0.0, 9.80665)
+
+
+def warm_up(pipeline: Pipeline, imus: int) -> None:
+    """Run a scratch pipeline for a second of rest, so that no kernel is compiled under load."""
+    for scan in range(200):
+        for k in range(imus):
+            pipeline.push(k, scan * 5_000_000 + 1, REST)
+
 
 class FusionNode(Node):
     """Hear `imu<k>/data_registered`; say `imu/data`, `odom` and `zero_velocity`."""
@@ -38,7 +47,9 @@ class FusionNode(Node):
     ) -> None:
         super().__init__(name)
         self.rig = declare_rig(self)
-        self.pipeline = Pipeline(self.rig, declare_config(self, PipelineConfig, input=kind))
+        config = declare_config(self, PipelineConfig, input=kind)
+        warm_up(Pipeline(self.rig, config), len(self.rig.imus))
+        self.pipeline = Pipeline(self.rig, config)
         self._declare_outputs(self.rig.rig.base_frame)
         self._serve()
         self.inputs = ImuInputs(self, self.rig, suffix, convert.decode_imu, self.on_reading)

@@ -1,0 +1,63 @@
+"""After three seconds without data a node says why, once, and what to do."""
+
+import pytest
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from ros_helpers import imu_message, node_process, ros_peer
+from sensor_msgs.msg import Imu
+from std_msgs.msg import String
+
+pytestmark = pytest.mark.ros
+
+RELIABLE = 'qos_overrides./imu0/data_raw.subscription.reliability'
+
+
+@pytest.fixture
+def rig_file(tmp_path):
+    path = tmp_path / 'rig.yaml'
+    path.write_text('version: 1\nrig: {name: one}\nimus: [{name: imu0, frame_id: imu0_link}]\n')
+    return path
+
+
+def reason(rig_file, prepare, **parameters):
+    """Return what the calibration node says 3 s after the peer was prepared."""
+    with ros_peer() as peer:
+        prepare(peer)
+        with node_process('calibration', rig_file=rig_file, **parameters) as process:
+            peer.wait_until(lambda: '`/imu0/data_raw`: ' in process.text, 12.0)
+            return process.text
+
+
+def test_no_publisher(rig_file):
+    assert 'nobody publishes it; start the driver' in reason(rig_file, lambda peer: None)
+
+
+def test_another_namespace(rig_file):
+    text = reason(rig_file, lambda peer: peer.publisher('/board/imu0/data_raw'))
+    assert '`/board/imu0/data_raw` exists' in text
+    assert '-r __ns:=/board' in text
+
+
+def test_another_type(rig_file):
+    text = reason(rig_file, lambda peer: peer.publisher('/imu0/data_raw', String))
+    assert 'its type must be sensor_msgs/msg/Imu, got std_msgs/msg/String' in text
+
+
+def test_reliable_asked_of_a_best_effort_publisher(rig_file):
+    qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    text = reason(
+        rig_file, lambda peer: peer.publisher('/imu0/data_raw', Imu, qos), **{RELIABLE: 'reliable'}
+    )
+    assert 'the QoS of /peer does not fit' in text
+
+
+def test_a_silent_publisher(rig_file):
+    text = reason(rig_file, lambda peer: peer.publisher('/imu0/data_raw'))
+    assert '/peer publishes it but sends nothing' in text
+
+
+def test_stamps_of_zero(rig_file):
+    def prepare(peer):
+        msg = imu_message('a', 0, [0.0] * 6)
+        peer.node.create_timer(0.05, lambda: peer.send('/imu0/data_raw', msg))
+
+    assert 'messages came without a usable stamp' in reason(rig_file, prepare)
