@@ -73,6 +73,7 @@ def test_yaw_variance_grows_in_motion_and_stops_at_rest(rng):
     assert attitude.P[2, 2] < held + 1e-9
 
 
+@pytest.mark.slow  # where nothing is compiled
 def test_uncertainty_is_what_the_error_is():
     errors = []
     for seed in range(6):
