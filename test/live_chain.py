@@ -18,8 +18,8 @@ NUMBERS = {'/imu/data': 37, '/odom': 85}  # doubles at the end of the message
 
 
 @contextmanager
-def process(verb, *arguments, domain):
-    """Run `multiimu <verb>`; at the end, interrupt it and expect exit code 0."""
+def started(verb, *arguments, domain):
+    """Run `multiimu <verb>`; what still runs at the end is killed."""
     environment = {
         **os.environ,
         'ROS_DOMAIN_ID': str(domain),
@@ -29,12 +29,21 @@ def process(verb, *arguments, domain):
     running = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
     try:
         yield running
+    finally:
+        if running.poll() is None:
+            running.kill()
+        running.wait()
+        running.stderr.close()
+
+
+@contextmanager
+def process(verb, *arguments, domain):
+    """Run `multiimu <verb>`; at the end, interrupt it and expect exit code 0."""
+    with started(verb, *arguments, domain=domain) as running:
+        yield running
         running.send_signal(signal.SIGINT)
         _, said = running.communicate(timeout=10)
         assert running.returncode == 0, said
-    finally:
-        running.kill()
-        running.communicate()
 
 
 @contextmanager
@@ -77,10 +86,9 @@ def replay(bag, rig_file, output, *, domain, seconds):
                 'the graph',
             )
             time.sleep(2.0)  # the nodes look once a second who listens
-            with process('play', bag, '--wait', '20', domain=domain) as play:
+            with started('play', bag, '--wait', '20', domain=domain) as play:
                 assert play.wait(seconds + 60) == 0
             time.sleep(0.5)
-    return play
 
 
 def numbers(bag, topic):

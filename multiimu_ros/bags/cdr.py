@@ -11,6 +11,7 @@ size; strings carry their length, with the closing NUL, in four bytes [1]_.
 """
 
 from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

@@ -127,7 +127,7 @@ class BagWriter:
         except OSError as error:
             self._rescue()
             msg = (
-                f'The bag `{self.path}` ends early, {self.lost} messages before this one lost, as '
+                f'The bag `{self.path}` ends early, without the last {self.lost} messages, as '
                 f'the disk says: {error.strerror}; make room and record again.'
             )
             raise ConfigError(msg) from error
@@ -141,7 +141,7 @@ class BagWriter:
         if storage is None:  # sqlite keeps what it committed
             self._writer.abort()
             return
-        storage.bio.truncate(self._complete)
+        storage.bio.truncate(storage.bio.seek(self._complete))
         for number, entries in storage.chunk.msgs.items():
             storage.channel_stats[number] -= len(entries)
             self.lost += len(entries)
