@@ -141,8 +141,9 @@ class ArrayFusion:
     def push(self, scan: Scan) -> FusedImu | None:
         """Fuse one scan; None if no IMU can be trusted in it."""
         out, weights = fuse_scan(
-            self._model, self._state, self._motion, scan.stamp_ns, scan.values, scan.share
-        )
+            self._model, self._state, self._motion, scan.stamp_ns,
+            scan.values, scan.share, scan.noise_gain,
+        )  # fmt: skip
         if np.isnan(out[0, 0]):
             return None
         return FusedImu(scan.stamp_ns, out, weights)
@@ -150,7 +151,13 @@ class ArrayFusion:
 
 @compiled
 def fuse_scan(
-    model: RigModel, state: _State, motion: Vector, stamp: int, values: Vectors, share: Scalars
+    model: RigModel,
+    state: _State,
+    motion: Vector,
+    stamp: int,
+    values: Vectors,
+    share: Scalars,
+    noise_gain: Scalars,
 ) -> tuple[Vectors, Scalars]:
     """Fuse one scan; the state moves on in place.
 
@@ -182,7 +189,7 @@ def fuse_scan(
         known[3:], variance[3:], z[:, 3:], R[:, 3:], Q[3:], b[:, 3:]
     )
     out = np.zeros((4, 6))
-    out[0], out[1] = known, variance
+    out[0], out[1] = known, variance * _interpolation_gain(b, R, noise_gain)
     if np.isfinite(gain):  # a x r errs with the variance of the angular acceleration
         out[1, 3:] += gain * P.max() * (mean_arm * mean_arm).sum()
     _align(model, state, z, b, dt, share, out)
@@ -217,6 +224,27 @@ def _noise_of_one_scan(
         if share[i] > 0.0 and not np.isnan(values[i, 0]):
             R[i] = density[i] ** 2 / (interval * share[i])
     return R
+
+
+@compiled
+def _interpolation_gain(b: Vectors, R: Vectors, noise_gain: Scalars) -> Vector:
+    """Return the variance (6,) of the weighted mean per that of the mean of samples.
+
+    Interpolation averages neighbouring samples, which lowers the variance of one scan, but not
+    the information: what it takes out of one scan it shares with the next.  So the weights keep
+    R, and only the stated variance is lowered.
+    """
+    gain = np.ones(6)
+    for axis in range(6):
+        total, lowered = 0.0, 0.0
+        for i in range(len(b)):
+            if b[i, axis] > 0.0:
+                part = b[i, axis] ** 2 * R[i, axis]
+                total += part
+                lowered += part * noise_gain[i]
+        if total > 0.0:
+            gain[axis] = lowered / total
+    return gain
 
 
 @compiled

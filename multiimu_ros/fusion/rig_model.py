@@ -18,6 +18,9 @@ from multiimu_ros.rig import (
     Triad,
 )
 
+LEAST_SIGMA = (
+    1e-9  # of noise density and bias: zeros, as of a perfect simulation, weigh infinitely
+)
 NOMINAL_ANGLE_SIGMA = 0.01  # [rad] an IMU soldered and mounted by hand, not registered
 
 
@@ -44,9 +47,11 @@ class RigModel(NamedTuple):
 
 def rig_model(rig: Rig) -> RigModel:
     """Collect what the fusion stage must know; blocks that are absent count as nominal."""
+    density = np.sqrt(np.stack([_rotated(imu, _density(imu) ** 2) for imu in rig.imus]))
+    bias_variance = np.stack([_rotated(imu, _bias_variance(imu)) for imu in rig.imus])
     return RigModel(
-        np.sqrt(np.stack([_rotated(imu, _density(imu) ** 2) for imu in rig.imus])),
-        np.stack([_rotated(imu, _bias_variance(imu)) for imu in rig.imus]),
+        np.maximum(density, LEAST_SIGMA),
+        np.maximum(bias_variance, LEAST_SIGMA**2),
         np.stack([_scale_variance(imu) for imu in rig.imus]),
         np.stack([_extrinsics(imu).lever_arm_b for imu in rig.imus]),
     )

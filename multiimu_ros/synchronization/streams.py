@@ -27,8 +27,7 @@ NOT_DUE, REFUSED, JUMPED = -1, -2, -3  # where otherwise the stamp of a scan is 
 HEALTHY, IS_INVALID, IS_STUCK = range(3)  # of FAULT
 
 NEVER = np.iinfo(np.int64).min // 4  # a stamp before all stamps, safe to subtract from
-REPEATS_BESIDE_OTHERS = 10  # identical readings that damn a sensor whose neighbours change
-REPEATS_ALONE = 200  # and one that has no changing neighbour: a perfect simulation may rest
+REPEATS = 10  # identical readings damn a sensor, if its neighbours change meanwhile
 GAP_PERIODS = 3
 PERIOD_MEMORY = 64  # intervals that the running mean of the period looks back
 
@@ -45,7 +44,7 @@ class Streams(NamedTuple):
     offsets: Stamps  # (K,): added to the stamps on entry
     sample: Vector  # (6,): the reading that comes in
     last: Vectors  # (K, 6): the last one of each stream, as it came in
-    scan: Vectors  # (K, 7): the scan that goes out: readings, NaN where none, and share
+    scan: Vectors  # (K, 8): the scan that goes out: readings, NaN where none; share; noise gain
 
 
 @compiled
@@ -122,13 +121,13 @@ def _is_sound(streams: Streams, k: int) -> bool:
         row[REPEATED] = 0
         return True
     row[REPEATED] += 1
+    # Without a neighbour that changes nobody can tell: a perfect simulation rests like that.
     neighbours_change = False
     for other in range(len(table)):
         alive = other != k and table[other, WAITED] == 1 and table[other, WRITTEN] > 0
-        if alive and 2 * table[other, REPEATED] < REPEATS_BESIDE_OTHERS:
+        if alive and 2 * table[other, REPEATED] < REPEATS:
             neighbours_change = True
-    limit = REPEATS_BESIDE_OTHERS if neighbours_change else REPEATS_ALONE
-    if row[REPEATED] < limit:
+    if row[REPEATED] < REPEATS or not neighbours_change:
         return True
     row[STUCK] += 1
     row[FAULT] = IS_STUCK
@@ -163,7 +162,7 @@ def advance(streams: Streams) -> int:
                 return NOT_DUE
             row[WAITED] = 0
     for k in range(len(table)):
-        scan[k, :6], scan[k, 6] = np.nan, 0.0
+        scan[k, :6], scan[k, 6], scan[k, 7] = np.nan, 0.0, 1.0
         if table[k, ENABLED] == 0:
             continue
         since = stamp - table[k, USABLE_FROM]
@@ -203,18 +202,31 @@ def _next_stamp(stamps: Stamps, table: Stamps, clock: Stamps, settings: Stamps) 
 
 @compiled
 def _interpolate(stamps: Stamps, values: Vectors, row: Stamps, stamp: int, out: Vector) -> None:
-    """Write the readings of one stream at `stamp`, unless the samples around it are too far."""
+    """Write readings and noise gain of one stream at `stamp`, unless its samples are too far.
+
+    A parabola through the two samples around the stamp and the one before them; a straight line
+    where that one is missing.  The curvature matters: what a line leaves out of a turning rate
+    adds up to a drift in attitude, like coning.
+    """
     if row[WRITTEN] == 0 or row[LATEST] < stamp or row[FAULT] == IS_STUCK:
         return
     while row[CURSOR] + 1 < row[WRITTEN] and stamps[(row[CURSOR] + 1) % RING] <= stamp:
         row[CURSOR] += 1
     before = row[CURSOR] % RING
     if stamps[before] == stamp:
-        out[:6] = values[before]
+        out[:6], out[7] = values[before], 1.0
         return
-    after = (row[CURSOR] + 1) % RING
+    after, earlier = (row[CURSOR] + 1) % RING, (row[CURSOR] - 1) % RING
     interval = stamps[after] - stamps[before]
-    if stamps[before] > stamp or interval > GAP_PERIODS * row[PERIOD]:
+    limit = GAP_PERIODS * row[PERIOD]
+    if stamps[before] > stamp or interval > limit:
         return
-    part = (stamp - stamps[before]) / interval
-    out[:6] = (1.0 - part) * values[before] + part * values[after]
+    u = (stamp - stamps[before]) / interval
+    a, b, c = 0.0, 1.0 - u, u
+    span = stamps[before] - stamps[earlier]
+    if row[CURSOR] > 0 and 0 < span < limit and row[WRITTEN] - row[CURSOR] < RING - 1:
+        v = span / interval  # Lagrange's polynomials on -v, 0, 1
+        a, b, c = u * (u - 1.0) / (v * (v + 1.0)), (u + v) * (1.0 - u) / v, u * (u + v) / (1.0 + v)
+    for axis in range(6):
+        out[axis] = a * values[earlier, axis] + b * values[before, axis] + c * values[after, axis]
+    out[7] = a * a + b * b + c * c

@@ -1,9 +1,9 @@
 """Put K streams of samples on one clock, scan by scan, as they arrive.
 
-One stream is the reference: every one of its samples makes a scan, and the others are
-interpolated linearly to its stamp.  A scan is due when every stream that lives has reached its
-stamp.  All decisions are taken in the time of the stamps, never in the time of arrival, so that
-the same samples give the same scans in whatever order the topics are served:
+One stream is the reference: every one of its samples makes a scan, to whose stamp the others are
+interpolated by a parabola.  A scan is due when every stream that lives has reached its stamp.
+All decisions are taken in the time of the stamps, never in the time of arrival, so that the same
+samples give the same scans in whatever order the topics are served:
 
 * a stream that stays `patience` behind the newest stamp is absent, and no longer waited for;
   if it was the reference, the next living stream takes over, and no scan is lost;
@@ -67,11 +67,14 @@ class Scan:
         Angular rate [rad/s] and specific force [m/s^2] of each IMU, NaN where it has none.
     share : (K,) array
         0 while an IMU is on probation, 1 once it is trusted [-].
+    noise_gain : (K,) array
+        Variance of each interpolated reading per variance of one sample [-].
     """
 
     stamp_ns: int
     values: Vectors
     share: Scalars
+    noise_gain: Scalars
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ class Synchronizer:
             offsets=np.array(np.zeros(count) if offsets_ns is None else offsets_ns, np.int64),
             sample=np.zeros(6),
             last=np.zeros((count, 6)),
-            scan=np.zeros((count, 7)),
+            scan=np.zeros((count, 8)),
         )
         self._streams.table[:, s.ENABLED] = 1
         self._sample = self._streams.sample
@@ -144,7 +147,8 @@ class Synchronizer:
         scans: list[Scan] = []
         while due_ns >= 0:
             scan = self._streams.scan
-            scans.append(Scan(due_ns, scan[:, :6].copy(), scan[:, 6].copy()))
+            values, share, gain = scan[:, :6].copy(), scan[:, 6].copy(), scan[:, 7].copy()
+            scans.append(Scan(due_ns, values, share, gain))
             due_ns = s.advance(self._streams)
         return scans
 

@@ -25,10 +25,14 @@ def model_of(count, bias_sigma=0.0, arms=None, density=None):
     )
 
 
+def scan(n, values, share):
+    return Scan(n * STEP_NS, values, share, np.ones(len(share)))
+
+
 def fuse(fusion, readings, share=None):
     """Return fused values and the frames of readings (N, K, 6)."""
     share = np.ones(readings.shape[:2]) if share is None else share
-    frames = [fusion.push(Scan(n * STEP_NS, z, share[n])) for n, z in enumerate(readings)]
+    frames = [fusion.push(scan(n, z, share[n])) for n, z in enumerate(readings)]
     return np.array([frame.values for frame in frames]), frames
 
 
@@ -119,16 +123,16 @@ def test_errors_of_scale_count_in_the_variance():
 
 def test_a_scan_that_nobody_can_be_trusted_in_gives_nothing():
     fusion = ArrayFusion(model_of(2), CONFIG)
-    assert fusion.push(Scan(0, np.full((2, 6), np.nan), np.ones(2))) is None
-    assert fusion.push(Scan(STEP_NS, np.zeros((2, 6)), np.zeros(2))) is None
-    assert fusion.push(Scan(2 * STEP_NS, np.zeros((2, 6)), np.ones(2))) is not None
+    assert fusion.push(scan(0, np.full((2, 6), np.nan), np.ones(2))) is None
+    assert fusion.push(scan(1, np.zeros((2, 6)), np.zeros(2))) is None
+    assert fusion.push(scan(2, np.zeros((2, 6)), np.ones(2))) is not None
 
 
 def test_after_a_restart_the_old_motion_is_forgotten(rng):
     fusion = ArrayFusion(model_of(2), CONFIG)
     fuse(fusion, np.ones((50, 2, 6)))
     fusion.restart()
-    frame = fusion.push(Scan(-(10**12), np.zeros((2, 6)), np.ones(2)))
+    frame = fusion.push(scan(-200_000, np.zeros((2, 6)), np.ones(2)))
     assert_allclose(frame.values, 0.0, atol=1e-12)
 
 

@@ -59,6 +59,22 @@ def test_staggered_samples_are_interpolated_to_the_reference():
         assert_allclose(scan.values, [line(k, scan.stamp_ns) for k in range(3)], rtol=1e-9)
 
 
+def test_a_parabola_is_reproduced_and_its_noise_gain_is_told(rng):
+    stamps = START + np.cumsum(rng.integers(3 * MS, 6 * MS, 300))
+    seconds = (stamps - START) * 1e-9
+    synchronizer = Synchronizer(2, CONFIG)
+    scans = []
+    for n, stamp in enumerate(stamps.tolist()):
+        scans += synchronizer.push(0, stamp - 2 * MS, [np.sin(n)] * 6)
+        scans += synchronizer.push(1, stamp, [1.0 + 2.0 * seconds[n] - 3.0 * seconds[n] ** 2] * 6)
+    due = np.array([(scan.stamp_ns - START) * 1e-9 for scan in scans])[3:]
+    found = np.array([scan.values[1, 0] for scan in scans])[3:]
+    assert_allclose(found, 1.0 + 2.0 * due - 3.0 * due**2, rtol=1e-9)
+    gain = np.array([scan.noise_gain for scan in scans])[3:]
+    assert (gain[:, 0] == 1.0).all()
+    assert ((gain[:, 1] > 0.5) & (gain[:, 1] < 1.0)).all()
+
+
 @given(seed=st.integers(0, 2**32 - 1))
 def test_scans_do_not_depend_on_the_order_in_which_topics_arrive(seed):
     rng = np.random.default_rng(seed)
