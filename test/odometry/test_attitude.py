@@ -56,6 +56,8 @@ def test_tilt_never_claims_more_than_the_accelerometer_bias_allows(rng):
     attitude = resting(rng, 20.0)
     tilt = np.sqrt(np.diag(attitude.P))[:2]
     assert_allclose(tilt, 0.03 / G, rtol=0.03)
+    # Considered, never estimated: even the vertical part, which |f| would show, stays unknown.
+    assert_allclose(attitude._P[6:, 6:], 0.03**2 * np.eye(3), atol=1e-12)
 
 
 def test_yaw_variance_grows_in_motion_and_stops_at_rest(rng):
