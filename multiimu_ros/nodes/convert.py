@@ -14,16 +14,15 @@ x, y, z, w and appear here only.
 """
 
 import struct
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu
 
+from multiimu_ros import fused_frame as record
 from multiimu_ros.arrays import Matrix, NANOSECONDS, Vector
-
-if TYPE_CHECKING:
-    from multiimu_ros.pipeline import FusedFrame
+from multiimu_ros.fused_frame import FusedFrame
 
 Reading = tuple[int, str, tuple[float, ...]]  # stamp [ns], frame, angular rate and specific force
 
@@ -39,6 +38,21 @@ RATE, FORCE = slice(13, 16), slice(25, 28)  # where they stand among the 37
 # A valid quaternion, for consumers that normalise before they look; then -1: no orientation.
 NO_ORIENTATION = np.array([0.0, 0.0, 0.0, 1.0, -1.0, *np.zeros(8)])
 RATE_COVARIANCE, FORCE_COVARIANCE = slice(16, 25), slice(28, 37)
+
+
+def _places(*blocks: tuple[int, int]) -> NDArray[np.intp]:
+    """Return the indices of blocks of a frame's record, each given by its start and size."""
+    return np.concatenate([np.arange(start, start + size) for start, size in blocks])
+
+
+IMU_PLACES = _places(
+    (record.ORIENTATION, 4), (record.ORIENTATION_P, 9), (record.RATE, 3), (record.RATE_P, 9),
+    (record.FORCE, 3), (record.FORCE_P, 9),
+)  # fmt: skip
+ODOMETRY_PLACES = _places(
+    (record.POSITION, 3), (record.ODOM_ORIENTATION, 4), (record.POSE_P, 36),
+    (record.VELOCITY, 3), (record.RATE, 3), (record.TWIST_P, 36),
+)  # fmt: skip
 
 
 def decode_imu(data: bytes) -> Reading | None:
@@ -147,32 +161,18 @@ def imu_numbers(rate_covariance: Matrix, force_covariance: Matrix) -> Vector:
     return numbers
 
 
-def fused_imu_numbers(frame: 'FusedFrame') -> Vector:
+def fused_imu_numbers(frame: FusedFrame) -> Vector:
     """Return the (37,) numbers of `imu/data`: orientation, rate and force with covariances."""
-    numbers = np.empty(IMU_NUMBERS)
-    numbers[:4] = frame.orientation
-    numbers[4:13] = frame.orientation_covariance.ravel()
-    numbers[RATE] = frame.angular_rate
-    numbers[RATE_COVARIANCE] = frame.angular_rate_covariance.ravel()
-    numbers[FORCE] = frame.specific_force
-    numbers[FORCE_COVARIANCE] = frame.specific_force_covariance.ravel()
-    return numbers
+    return frame.record.take(IMU_PLACES)
 
 
-def odometry_numbers(frame: 'FusedFrame') -> Vector:
+def odometry_numbers(frame: FusedFrame) -> Vector:
     """Return the (85,) numbers of `odom`: pose in `odom`, twist in the base frame."""
-    numbers = np.empty(85)
-    numbers[:3] = frame.position_n
-    numbers[3:7] = frame.odom_orientation
-    numbers[7:43] = frame.pose_covariance.ravel()
-    numbers[43:46] = frame.velocity_b
-    numbers[46:49] = frame.angular_rate
-    numbers[49:] = frame.twist_covariance.ravel()
-    return numbers
+    return frame.record.take(ODOMETRY_PLACES)
 
 
-def still_twist_numbers(frame: 'FusedFrame') -> Vector:
+def still_twist_numbers(frame: FusedFrame) -> Vector:
     """Return the (42,) numbers of `zero_velocity`: twist zero, with the frame's covariance."""
     numbers = np.zeros(42)
-    numbers[6:] = frame.twist_covariance.ravel()
+    numbers[6:] = frame.record[record.TWIST_P : record.SIZE]
     return numbers

@@ -5,17 +5,18 @@ which the rig stands still and none while it moves: a filter downstream takes it
 """
 
 from functools import partial
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
-import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger
 
 from multiimu_ros.errors import ConfigError
+from multiimu_ros.fused_frame import FusedFrame
 from multiimu_ros.nodes import convert
 from multiimu_ros.nodes.biases import with_biases
 from multiimu_ros.nodes.diagnostics import Diagnostics, Status
@@ -26,7 +27,7 @@ from multiimu_ros.nodes.run import run
 from multiimu_ros.nodes.statuses import FusionReport
 from multiimu_ros.nodes.transform import TransformOutput
 from multiimu_ros.nodes.watch import SilenceWatch
-from multiimu_ros.pipeline import FusedFrame, Input, Pipeline, PipelineConfig
+from multiimu_ros.pipeline import Input, Pipeline, PipelineConfig
 from multiimu_ros.rig import save_rig
 
 REST = (0.0, 0.0, 0.0, 0.0, 0.0, 9.80665)
@@ -82,14 +83,14 @@ class FusionNode(Node):
             self._publish(frame)
 
     def _publish(self, frame: FusedFrame) -> None:
-        odometry = convert.odometry_numbers(frame)
-        imu = convert.fused_imu_numbers(frame)
-        if not (np.isfinite(odometry).all() and np.isfinite(imu).all()):
+        if not isfinite(frame.record.sum()):
             self.not_finite += 1
             return
         if self._imu.wanted:
+            imu = convert.fused_imu_numbers(frame)
             self._imu.send(self._imu_encoder.encode(frame.stamp_ns, imu))
         if self._odometry.wanted:
+            odometry = convert.odometry_numbers(frame)
             self._odometry.send(self._odometry_encoder.encode(frame.stamp_ns, odometry))
         if frame.still and self._zero_velocity.wanted:
             twist = convert.still_twist_numbers(frame)

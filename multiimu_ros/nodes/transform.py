@@ -7,7 +7,7 @@ from rclpy.node import Node
 
 from multiimu_ros.arrays import NANOSECONDS
 from multiimu_ros.errors import ConfigError
-from multiimu_ros.pipeline import FusedFrame
+from multiimu_ros.fused_frame import FusedFrame
 
 
 class TransformOutput:
