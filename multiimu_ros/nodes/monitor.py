@@ -24,7 +24,7 @@ class MonitorNode(Node):
 
     def __init__(self) -> None:
         super().__init__('monitor')
-        self._last_imu = self.declare_parameter('last_imu', 'imu7').value
+        self._count = self.declare_parameter('imus', 8).value
         self._ages: list[float] = []
         self._stamp_ns = self._still_ns = 0
         self._received = 0
@@ -36,6 +36,9 @@ class MonitorNode(Node):
             TwistWithCovarianceStamped, 'zero_velocity', self._on_still, best_effort
         )
         self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 50)
+        # A recorder subscribes to what is published: these let it do so before the first message.
+        for k in range(self._count):
+            self.create_publisher(Imu, f'imu{k}/data_raw', 10)
         self.create_timer(PERIOD_S, self._tell)
 
     def _on_imu(self, data: bytes) -> None:
@@ -56,9 +59,11 @@ class MonitorNode(Node):
 
     def _tell(self) -> None:
         now, ages = time.monotonic(), self._ages
-        listening = [self.count_subscribers(f'{self._last_imu}/{stage}') for stage in STAGES]
+        last = f'imu{self._count - 1}'
+        listeners = [self.count_subscribers(f'{last}/{stage}') for stage in STAGES]
         line = {
-            'ready': all(listening) and self.count_publishers('imu/data') > 0,
+            # The raw topics have two listeners: calibration and the recorder.
+            'ready': listeners[0] > 1 and all(listeners) and self.count_publishers('imu/data') > 0,
             'received': self._received,
             'rate_hz': len(ages) / (now - self._begin),
             'still': self._stamp_ns - self._still_ns < 1e9 * PERIOD_S / 2,

@@ -13,7 +13,7 @@ from multiimu_ros.report.truth import fit_lateness, Lateness, Truth
 from multiimu_ros.rig import Rig
 from multiimu_ros.samples import ImuSamples
 
-SETTLING = 2.0  # [s] not scored: the driver is still learning how fast the board's clock runs
+SETTLING = 6.0  # [s] not scored: the driver is still learning how fast the board's clock runs
 MEAN, ARRAY = 'mean', 'array'
 
 
@@ -75,7 +75,8 @@ def score(
     lateness = fit_lateness(truth, mean.stamp_ns, mean.angular_rate)
     begin = max(int(track.stamp_ns[0]) for track in tracks.values())
     begin += round(SETTLING * NANOSECONDS)
-    end = min(int(track.stamp_ns[-1]) for track in (*tracks.values(), truth))
+    end = min(int(track.stamp_ns[-1]) for track in tracks.values())
+    end = min(end, int(truth.stamp_ns[-1]))
     kept = {name: track.between(begin, end) for name, track in tracks.items()}
     truths = {name: truth.at(track.stamp_ns, lateness.seconds) for name, track in kept.items()}
     errors = {name: errors_of(track, truths[name]) for name, track in kept.items()}

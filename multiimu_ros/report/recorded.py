@@ -71,7 +71,7 @@ def _records(messages: Sequence[bytes], fields: Fields, strings: int) -> Records
     sizes, end = [], 12
     for _ in range(strings):  # each string starts on a multiple of 4 with its length
         end += -end % 4
-        sizes.append(int.from_bytes(messages[0][end + 4 : end + 8], 'little'))
+        sizes.append(int.from_bytes(messages[0][end : end + 4], 'little'))
         end += 4 + sizes[-1]
     return np.frombuffer(b''.join(messages), layout(fields, sizes, itemsize=len(messages[0])))
 
