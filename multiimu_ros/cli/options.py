@@ -10,6 +10,7 @@ from typing import Annotated, TypeVar
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
+from rich.text import Text
 import typer
 import yaml
 
@@ -74,11 +75,12 @@ def with_progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
 
 def print_table(title: str, rows: Sequence[Mapping[str, Cell]]) -> None:
     """Print rows of equal keys as a table."""
-    table = Table(title=title, title_justify='left')
+    table = Table(title=Text(title), title_justify='left')
     for name in rows[0] if rows else ():
-        table.add_column(name, justify='left' if isinstance(rows[0][name], str) else 'right')
+        table.add_column(Text(name), justify='left' if isinstance(rows[0][name], str) else 'right')
     for row in rows:
-        table.add_row(*(f'{x:.4g}' if isinstance(x, float) else str(x) for x in row.values()))
+        cells = (f'{x:.4g}' if isinstance(x, float) else str(x) for x in row.values())
+        table.add_row(*map(Text, cells))
     Console().print(table)
 
 

@@ -1,0 +1,146 @@
+"""`multiimu inspect`: what a bag holds, and what is wrong with it before anything is fitted."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from multiimu_ros.arrays import NANOSECONDS, Scalars, Vectors
+from multiimu_ros.bags import ImuTrack, list_topics, read_imus
+from multiimu_ros.bags.reader import IMU_TYPE
+from multiimu_ros.cli.options import AsJson, OptionsFile, print_json, print_table, split_names
+
+GAP = 3.0  # periods: what the synchroniser no longer interpolates across
+SATURATED = 5  # samples at the very same extreme: noise never does that
+TURN = 40.0  # [rad/s] no gyroscope of this class reaches it: 2000 deg/s are 35 rad/s
+CLOCKS_S = 3600.0  # a stamp this far from the time of recording is on another clock
+
+# When to complain about the figures of a topic, and in which words.
+COMPLAINTS: tuple[tuple[Callable[[dict[str, Any]], bool], str], ...] = (
+    (lambda f: not f['count'], 'it is empty; was the driver running?'),
+    (
+        lambda f: f['gaps'] > 0,
+        '{gaps} gaps, the longest {longest_gap_s:.3g} s; nothing fills them.',
+    ),
+    (lambda f: f['backward'] > 0, '{backward} stamps go back; was the clock set meanwhile?'),
+    (lambda f: f['duplicate'] > 0, '{duplicate} stamps repeat; the driver sends readings twice.'),
+    (lambda f: f['not_finite'] > 0, '{not_finite} readings are not finite and will be skipped.'),
+    (lambda f: f['saturated_rate'] > 0, '{saturated_rate} rates end the range; turn slower.'),
+    (lambda f: f['saturated_force'] > 0, '{saturated_force} forces end the range; shake less.'),
+    (
+        lambda f: abs(f['clock_offset_s']) > CLOCKS_S,
+        'stamps are {clock_offset_s:.3g} s off the recorder; are they the clock of the board?',
+    ),
+    (
+        lambda f: 0.5 < f['median_force'] < 1.5,
+        'the median force is {median_force:.3g}: it looks like g, and must be m/s^2.',
+    ),
+    (
+        lambda f: f['median_force'] <= 0.5,
+        'the median force is {median_force:.3g} m/s^2: was gravity taken out?',
+    ),
+    (
+        lambda f: f['median_rate'] > TURN,
+        'the median rate is {median_rate:.3g}: it looks like deg/s, and must be rad/s.',
+    ),
+)
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command(epilog='Example: `multiimu inspect walk/ --json`')
+def inspect(
+    bag: Annotated[Path, typer.Argument(help='rosbag2 folder, .mcap or .db3 file.')],
+    topics: Annotated[list[str], typer.Option(help='Only these Imu topics.')] = [],  # noqa: B006
+    as_json: AsJson = False,
+    options: OptionsFile = None,  # noqa: ARG001 read by its callback
+) -> None:
+    """Say what a bag holds and what is wrong with it; exit code 0 means that it was read."""
+    present = list_topics(bag)
+    wanted = [name.lstrip('/') for name in split_names(topics)]
+    imus = [
+        topic.name
+        for topic in present
+        if topic.type == IMU_TYPE and (not wanted or topic.name.lstrip('/') in wanted)
+    ]
+    findings = [inspect_track(track) for track in read_imus(bag, imus).tracks] if imus else []
+    listed: list[dict[str, Any]] = [
+        {'topic': t.name, 'type': t.type, 'count': t.count} for t in present
+    ]
+    candidates = [finding['topic'] for finding in findings if finding['looks_raw']]
+    if as_json:
+        print_json({'topics': listed, 'imus': findings, 'candidates': candidates})
+        return
+    print_table(f'Topics of {bag}', listed)
+    print_table('IMUs', [_row(finding) for finding in findings])
+    for finding in findings:
+        for complaint in finding['complaints']:
+            typer.echo(f'{finding["topic"]}: {complaint}')
+    typer.echo(f'To fuse or calibrate: {" ".join(candidates) or "no Imu topic looks raw"}')
+
+
+def inspect_track(track: ImuTrack) -> dict[str, Any]:
+    """Return the figures of one Imu topic, and a sentence for everything that looks wrong."""
+    samples = track.samples
+    steps = np.diff(samples.stamp_ns) / NANOSECONDS
+    forward = steps[steps > 0]
+    period = float(np.median(forward)) if len(forward) else float('nan')
+    force = np.linalg.norm(samples.specific_force, axis=1)
+    finding = {
+        'topic': track.topic,
+        'frame_id': track.frame_id,
+        'count': len(samples),
+        'rate_hz': 1 / period,
+        'duration_s': float(np.ptp(samples.stamp_ns)) / NANOSECONDS if len(samples) else 0.0,
+        'gaps': int((steps > GAP * period).sum()),
+        'longest_gap_s': float(steps.max(initial=0.0)),
+        'jitter_s': _spread(forward),
+        'backward': int((steps < 0).sum()),
+        'duplicate': int((steps == 0).sum()),
+        'not_finite': int((~np.isfinite(force)).sum()),
+        'saturated_rate': saturated(samples.angular_rate),
+        'saturated_force': saturated(samples.specific_force),
+        'median_force': _median(force),
+        'median_rate': _median(np.linalg.norm(samples.angular_rate, axis=1)),
+        'clock_offset_s': _median((track.received_ns - samples.stamp_ns) / NANOSECONDS),
+        'looks_raw': bool(len(samples)) and 'data_raw' in track.topic,
+    }
+    finding['complaints'] = _complaints(finding)
+    return finding
+
+
+def saturated(vectors: Vectors) -> int:
+    """Return how many samples sit at an extreme of their axis that is reached again and again."""
+    count = 0
+    for axis in vectors.T:
+        for extreme in (axis.min(initial=0.0), axis.max(initial=0.0)):
+            hits = int((axis == extreme).sum()) if extreme else 0
+            count += hits if hits >= SATURATED else 0
+    return count
+
+
+def _median(values: Scalars) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else float('nan')
+
+
+def _spread(steps: Scalars) -> float:
+    return float(np.subtract(*np.percentile(steps, [84, 16])) / 2) if len(steps) else float('nan')
+
+
+def _complaints(finding: dict[str, Any]) -> list[str]:
+    return [text.format(**finding) for wrong, text in COMPLAINTS if wrong(finding)]
+
+
+def _row(finding: dict[str, Any]) -> dict[str, Any]:
+    return {
+        'topic': finding['topic'],
+        'count': finding['count'],
+        'rate [Hz]': finding['rate_hz'],
+        'time [s]': finding['duration_s'],
+        'rate [rad/s]': finding['median_rate'],
+        'force [m/s^2]': finding['median_force'],
+        'problems': len(finding['complaints']),
+    }

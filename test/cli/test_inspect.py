@@ -1,0 +1,95 @@
+"""Faults put into a recording are found, and nothing else is."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from multiimu_ros.bags import BagWriter, ImuTrack
+from multiimu_ros.bags.cdr import encode_imus
+from multiimu_ros.cli.inspect import app, inspect_track, saturated
+from multiimu_ros.samples import ImuSamples
+
+N = 400
+
+
+@pytest.fixture
+def samples(rng):
+    """Return 2 s at 200 Hz of a rig that rests but for noise."""
+    stamp_ns = 10**18 + 5_000_000 * np.arange(N)
+    noise = 0.01 * rng.standard_normal((2, N, 3))
+    return ImuSamples(stamp_ns, noise[0], noise[1] + [0.0, 0.0, 9.81])
+
+
+def complaints(samples, late_ns=0):
+    track = ImuTrack('/imu0/data_raw', 'imu0_link', samples, samples.stamp_ns + late_ns)
+    return ' '.join(inspect_track(track)['complaints'])
+
+
+def test_a_good_recording_is_not_complained_about(samples):
+    assert complaints(samples) == ''
+
+
+@pytest.mark.parametrize(
+    ('fault', 'complaint'),
+    [
+        (lambda s: s.select(np.r_[:100, 200:400]), '1 gaps, the longest 0.505 s'),
+        (lambda s: s.select(np.r_[:100, 50:400]), '1 stamps go back'),
+        (lambda s: s.select(np.r_[:100, 99:400]), '1 stamps repeat'),
+        (lambda s: s.select(slice(0, 0)), 'it is empty'),
+        (lambda s: scaled(s, 1.0, 1 / 9.81), 'the median force is 1: it looks like g'),
+        (lambda s: scaled(s, 1.0, 0.01), 'was gravity taken out'),
+        (lambda s: scaled(s, 1e4, 1.0), 'it looks like deg/s'),
+        (lambda s: clipped(s, 0.015), 'rates end the range'),
+        (lambda s: with_nan(s, 3), '1 readings are not finite'),
+    ],
+)
+def test_a_fault_is_found(samples, fault, complaint):
+    assert complaint in complaints(fault(samples))
+
+
+def scaled(samples, rate, force):
+    return ImuSamples(
+        samples.stamp_ns, rate * samples.angular_rate, force * samples.specific_force
+    )
+
+
+def clipped(samples, limit):
+    rate = np.clip(samples.angular_rate, -limit, limit)
+    return ImuSamples(samples.stamp_ns, rate, samples.specific_force)
+
+
+def with_nan(samples, index):
+    force = samples.specific_force.copy()
+    force[index, 1] = np.nan
+    return ImuSamples(samples.stamp_ns, samples.angular_rate, force)
+
+
+def test_stamps_on_the_clock_of_the_board_are_named(samples):
+    assert 'are they the clock of the board' in complaints(samples, late_ns=7200 * 10**9)
+
+
+def test_both_ends_of_the_range_count_as_saturated():
+    ramp = np.linspace(-1.0, 1.0, 100)[:, None] * np.ones(3)
+    assert saturated(ramp) == 0
+    assert saturated(np.clip(ramp, -0.9, 0.9)) == 30  # 5 at each end of each axis
+
+
+def test_the_verb_prints_json_for_machines_and_words_for_people(tmp_path, samples):
+    with BagWriter(tmp_path / 'bag') as bag:
+        bag.add_topic('/imu0/data_raw', 'sensor_msgs/msg/Imu')
+        bag.add_topic('/odom', 'nav_msgs/msg/Odometry')
+        for stamp_ns, data in zip(
+            samples.stamp_ns.tolist(), encode_imus('a', samples), strict=True
+        ):
+            bag.write('/imu0/data_raw', stamp_ns, data)
+    runner, path = CliRunner(), str(tmp_path / 'bag')
+    answer = json.loads(runner.invoke(app, [path, '--json']).stdout)
+    assert answer['candidates'] == ['/imu0/data_raw']
+    assert answer['imus'][0]['rate_hz'] == pytest.approx(200.0)
+    assert [topic['count'] for topic in answer['topics']] == [N, 0]
+    words = runner.invoke(app, [path, '--topics', '/other'])
+    assert words.exit_code == 0
+    assert 'no Imu topic looks raw' in words.stdout
+    assert 'To fuse or calibrate: /imu0/data_raw' in runner.invoke(app, [path]).stdout
