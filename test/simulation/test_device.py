@@ -14,7 +14,7 @@ from multiimu_ros.wire.decoder import FrameDecoder
 from multiimu_ros.wire.packets import Hello, Scan, Status, Sync
 
 TIMING = Timing(start_ns=0)
-RECORDING = simulate(placements.row(3), trajectory('hand', 8.0), 100.0, timing=TIMING)
+RECORDING = simulate(placements.row(3), trajectory('hand', 8.5), 100.0, timing=TIMING)
 
 
 def device(*faults, recording=RECORDING, **options):
@@ -38,7 +38,7 @@ def test_the_scans_hold_exactly_the_counts_of_the_recording():
     board = device()
     sent = scans(board)
     assert board.finished
-    assert [scan.seq for scan in sent] == list(range(800))
+    assert [scan.seq for scan in sent] == list(range(850))
     for imu in range(3):
         assert np.array_equal(counts(sent, imu), counts_of(RECORDING)[:, imu])
 
@@ -112,10 +112,11 @@ def test_a_dead_imu_is_missing_and_counted_in_the_status():
 
 
 def test_a_stuck_imu_repeats_its_reading_and_then_recovers():
-    sent = scans(device('stuck:2@4-6'))
-    rows = counts(sent, 2)
-    assert np.all(rows[400:600] == rows[400])
-    assert np.array_equal(rows[600:], counts_of(RECORDING)[600:, 2])
+    rows = counts(scans(device('stuck:2@4.5-6', 'stuck:2@7-8')), 2)
+    true = counts_of(RECORDING)[:, 2]
+    assert np.all(rows[450:600] == true[450])
+    assert np.array_equal(rows[600:700], true[600:700])
+    assert np.all(rows[700:800] == true[700])  # the second time it holds another reading
 
 
 def test_garbage_fills_the_16_bits():

@@ -12,7 +12,7 @@ from multiimu_ros.simulation.errors import BMI160, PERFECT
 from multiimu_ros.simulation.recording import simulate, Timing
 from multiimu_ros.simulation.trajectories import trajectory
 
-HAND = trajectory('hand', 8.0, seed=1)
+HAND = trajectory('hand', 8.5, seed=1)  # 4 s of rest, then 4 s of motion
 CUBE = placements.cube(3)
 
 
@@ -38,7 +38,7 @@ def test_each_imu_reads_the_truth_at_its_own_instants_and_place():
 def test_truth_is_stamped_at_the_beginning_of_each_scan():
     recording = simulate(CUBE, HAND, 100.0, timing=Timing(sampling_jitter=1e-4))
     assert np.array_equal(recording.truth_ns, recording.raw[0].stamp_ns)
-    assert len(recording.truth.time) == 800
+    assert len(recording.truth.time) == 850
 
 
 def test_stamps_follow_a_fast_clock_and_the_offset_leads_back():
@@ -51,8 +51,8 @@ def test_stamps_follow_a_fast_clock_and_the_offset_leads_back():
 
 def test_a_share_of_the_samples_is_lost():
     samples = simulate(CUBE, HAND, 500.0, timing=Timing(dropout=0.1)).raw
-    # 4000 draws: standard error 19, times 4.
-    assert all(abs(4000 - len(s) - 400) < 76 for s in samples)
+    # 4250 draws: standard error 20, times 4.
+    assert all(abs(4250 - len(s) - 425) < 80 for s in samples)
     assert len({len(s) for s in samples}) > 1
 
 
