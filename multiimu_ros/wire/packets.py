@@ -6,7 +6,7 @@ the last one is refused, so that damage has little room to look like a packet.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 import math
 import struct
 
@@ -162,7 +162,7 @@ def _payload(packet: Packet) -> bytes:
             return _scan_payload(packet)
         case Hello(imus, rate_hz, ticks_us, reason, (major, minor), protocol):
             head = _HELLO.pack(HELLO, protocol, reason, major, minor, rate_hz, ticks_us, len(imus))
-            return head + b''.join(_hello_imu(info) for info in imus)
+            return head + b''.join(_HELLO_IMU.pack(*astuple(info)) for info in imus)
         case Status(ticks_us, overruns, recoveries, imus):
             head = _STATUS.pack(STATUS, ticks_us, overruns, recoveries, _mask(imus))
             return head + b''.join(_status_imu(*imus[k]) for k in sorted(imus))
@@ -187,19 +187,6 @@ def _scan_payload(scan: Scan) -> bytes:
     readings = [value for k in sorted(scan.imus) for value in (scan.imus[k][0], *scan.imus[k][1])]
     head = layout.pack(kind, scan.seq, scan.ticks_us, mask)
     return head + _READINGS[len(scan.imus)].pack(*readings)
-
-
-def _hello_imu(info: ImuInfo) -> bytes:
-    return _HELLO_IMU.pack(
-        info.imu,
-        info.model,
-        info.address,
-        info.channel,
-        info.angular_rate_range,
-        info.specific_force_range,
-        info.angular_rate_scale,
-        info.specific_force_scale,
-    )
 
 
 def _status_imu(failures: int, temperature: float) -> bytes:

@@ -76,6 +76,14 @@ def test_a_reset_board_begins_a_new_epoch_behind_the_last_stamp(rng):
     assert again[0] == arrivals[0] + 15_500_000_000  # nothing is known of a new clock but this
 
 
+def test_a_new_epoch_cannot_begin_before_the_last_stamp():
+    clock = DeviceClock()
+    last = clock.observe(5000, START)
+    clock.restart()
+    assert clock.observe(0, START - 1_000_000) == last + 1
+    assert clock.observe(1, START - 999_000) == last + 2
+
+
 @given(
     skew_ppm=st.integers(-15_000, 15_000),
     seed=st.integers(0, 2**32 - 1),

@@ -46,6 +46,18 @@ def test_the_crc_is_ccitt_false():
     assert sealed[:2] == b'\0\0'  # Adler-32 of nothing is 0x00000001
 
 
+def test_the_sum_sees_what_the_crc_cannot():
+    sealed = bytearray(crc.seal(b'0123456789'))
+    for k, bits in enumerate((0x01, 0x10, 0x21)):  # 0x11021, the polynomial: its CRC is nothing
+        sealed[2 + k] ^= bits
+    assert crc.binascii.crc_hqx(bytes(sealed[:-2]), 0xFFFF).to_bytes(2, 'little') == sealed[-2:]
+    assert not crc.is_sealed(bytes(sealed))
+
+
+def test_a_block_shorter_than_its_checks_is_not_sealed():
+    assert not crc.is_sealed(crc.seal(b''))
+
+
 @given(st.binary(min_size=1, max_size=300), st.data())
 def test_up_to_three_flipped_bits_are_always_seen(payload, data):
     block = bytearray(crc.seal(payload))
