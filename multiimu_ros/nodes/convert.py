@@ -37,6 +37,7 @@ RATE_START = 13
 RATE, FORCE = slice(13, 16), slice(25, 28)  # where they stand among the 37
 # A valid quaternion, for consumers that normalise before they look; then -1: no orientation.
 NO_ORIENTATION = np.array([0.0, 0.0, 0.0, 1.0, -1.0, *np.zeros(8)])
+RATE_AND_FORCE = [13, 14, 15, 25, 26, 27]
 RATE_COVARIANCE, FORCE_COVARIANCE = slice(16, 25), slice(28, 37)
 
 

@@ -4,6 +4,7 @@
 which the rig stands still and none while it moves: a filter downstream takes it as a measurement.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from math import isfinite
 from pathlib import Path
@@ -20,7 +21,7 @@ from multiimu_ros.fused_frame import FusedFrame
 from multiimu_ros.nodes import convert
 from multiimu_ros.nodes.biases import with_biases
 from multiimu_ros.nodes.diagnostics import Diagnostics, Status
-from multiimu_ros.nodes.inputs import declare_rig, ImuInputs
+from multiimu_ros.nodes.inputs import declare_rig, ImuInput, ImuInputs
 from multiimu_ros.nodes.outputs import Output
 from multiimu_ros.nodes.parameters import declare, declare_config, warn_about_unused
 from multiimu_ros.nodes.run import run
@@ -53,12 +54,18 @@ class FusionNode(Node):
         self.pipeline = Pipeline(self.rig, config)
         self._declare_outputs(self.rig.rig.base_frame)
         self._serve()
-        self.inputs = ImuInputs(self, self.rig, suffix, convert.decode_imu, self.on_reading)
-        self._watch = SilenceWatch(self, self.inputs.streams, self.inputs.subscriptions)
-        self._fusion_report = FusionReport(self.pipeline, self.inputs.streams)
-        self.diagnostics = Diagnostics(self, self.rig.rig.name, self.report)
         self.not_finite = 0
+        self._watch: SilenceWatch | None = None
+        self.streams = self.open_inputs(suffix)
+        self._fusion_report = FusionReport(self.pipeline, self.streams)
+        self.diagnostics = Diagnostics(self, self.rig.rig.name, self.report)
         warn_about_unused(self)
+
+    def open_inputs(self, suffix: str) -> Sequence[ImuInput]:
+        """Subscribe to the topics of the IMUs."""
+        inputs = ImuInputs(self, self.rig, suffix, convert.decode_imu, self.on_reading)
+        self._watch = SilenceWatch(self, inputs.streams, inputs.subscriptions)
+        return inputs.streams
 
     def _declare_outputs(self, base_frame: str) -> None:
         odom_frame = declare(self, 'odom_frame', 'odom', 'frame that the odometry starts in')
@@ -76,7 +83,7 @@ class FusionNode(Node):
         for k, name in enumerate(self.rig.names):
             self.create_service(SetBool, f'~/enable_{name}', partial(self._on_enable, k))
 
-    def on_reading(self, k: int, stamp_ns: int, frame_id: str, values: tuple[float, ...]) -> None:
+    def on_reading(self, k: int, stamp_ns: int, frame_id: str, values: Sequence[float]) -> None:
         """Push one reading into the pipeline and publish what became due."""
         del frame_id  # the rig file says where the IMU is
         for frame in self.pipeline.push(k, stamp_ns, values):
@@ -101,7 +108,8 @@ class FusionNode(Node):
 
     def report(self) -> list[Status]:
         """Return the statuses of fusion and of each IMU."""
-        self._watch.check(self.get_logger().warning)
+        if self._watch is not None:
+            self._watch.check(self.get_logger().warning)
         return self._fusion_report.statuses(self.not_finite)
 
     def _on_reset(self, _request: Any, response: Any) -> Any:

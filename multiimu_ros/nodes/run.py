@@ -7,6 +7,7 @@ when it is spun without a timeout; the single-threaded one stands in where rclpy
 """
 
 from collections.abc import Callable
+import gc
 import signal
 import sys
 
@@ -30,6 +31,7 @@ def spin(node: Node, stop: Future) -> None:
     """Serve `node` until `stop` is done or the node has shut its context down."""
     executor: Executor = EventsExecutor() if EventsExecutor else SingleThreadedExecutor()
     executor.add_node(node)
+    gc.freeze()  # else a full collection stalls the node for as long as 30 messages last
     while rclpy.ok() and not stop.done():
         if EventsExecutor:
             executor.spin_until_future_complete(stop, timeout_sec=WAKE_S)
