@@ -79,10 +79,3 @@ def test_rubbish_is_none_and_never_an_exception(data):
 def test_a_cut_message_is_none(cut):
     data = serialize_message(imu_message('imu0_link', 5, [0.0] * 6))
     assert convert.decode_imu(data[:-cut]) is None
-
-
-def test_an_imu_without_orientation_says_so_as_rep_145_asks():
-    numbers = convert.imu_numbers(np.eye(3), 2 * np.eye(3))
-    msg = deserialize_message(convert.StampedEncoder('a').encode(0, numbers), Imu)
-    assert msg.orientation_covariance[0] == -1
-    assert list(msg.linear_acceleration_covariance) == [2, 0, 0, 0, 2, 0, 0, 0, 2]

@@ -1,5 +1,7 @@
 """Fusion and pipeline as processes: the same numbers as the core, faults named, services."""
 
+import subprocess
+import sys
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,6 +21,7 @@ from multiimu_ros.rig import load_rig
 pytestmark = pytest.mark.ros
 
 RATE_HZ = 100
+RAW = 'imu1/data_raw'
 NAMES = ('imu0', 'imu1', 'imu2')
 NODES = {'fusion': 'registered', 'pipeline': 'raw'}
 
@@ -171,3 +174,22 @@ def test_an_unknown_profile_is_refused_with_the_known_ones(rig_file):
     with node_process('fusion', rig_file=rig_file, profile='boat') as process:
         assert process.wait() == 1
         assert "`profile` must be one of 'hand', 'foot', 'vehicle', got 'boat'" in process.text
+
+
+def test_the_pipeline_reads_a_port_by_itself(rig_file, tmp_path):
+    link = tmp_path / 'port'
+    board = subprocess.Popen(
+        [sys.executable, '-c', 'from multiimu_ros.cli.emulator import main; main()',
+         '--rig', rig_file, '--motion', 'static', '--duration', '60', '--link', link],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        with node_process('pipeline', rig_file=rig_file, port=link) as process, ros_peer() as peer:
+            imus, raw = peer.collect(ImuMessage, 'imu/data'), peer.collect(ImuMessage, RAW)
+            peer.wait_until(lambda: len(imus) > 100 and len(raw) > 100, 20.0)
+            assert process.end()[0] == 0
+    finally:
+        board.kill()
+        board.wait()
+    force = np.linalg.norm(imu_values(imus[-1])[3:])
+    assert abs(force - 9.81) < 0.3  # three uncalibrated accelerometers
