@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+import select
 import signal
 import subprocess
 import sys
@@ -42,10 +43,15 @@ def read_scans(port, enough, feed=None):
     if feed:
         feed()
     while not enough(scans) and time.monotonic() < end:
+        if not select.select([file], [], [], 0.5)[0]:
+            continue
         try:
-            sent = decoder.push(os.read(file, 65536))
-        except OSError:  # the board is gone
+            data = os.read(file, 65536)
+        except OSError:
+            data = b''
+        if not data:  # the board is gone
             break
+        sent = decoder.push(data)
         scans += [packet for packet in sent if isinstance(packet, Scan)]
     os.close(file)
     return scans
