@@ -4,6 +4,7 @@ from collections import Counter, defaultdict
 import io
 import os
 from pathlib import Path
+import sqlite3
 from struct import unpack_from
 from types import TracebackType
 from typing import cast, Literal, Self
@@ -19,6 +20,7 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import get_typestore, Stores
 
 from multiimu_ros.errors import ConfigError
@@ -26,6 +28,8 @@ from multiimu_ros.errors import ConfigError
 VERSION: Literal[9] = 9  # of the metadata, as Jazzy writes it
 DEPTH = 10  # ROS's default queue; a player takes it over for its publishers
 FOR_EVER = QosTime(9223372036, 854775807)  # the middleware's name for no limit
+DISK = (OSError, sqlite3.Error)  # what a full or broken disk raises
+COMMIT = 4096  # messages after which sqlite makes sure of them
 RESERVE = 1 << 22  # bytes set aside, so that a full disk still takes the index of 4 h at 1 MB/s
 
 
@@ -43,6 +47,10 @@ def _qos(reliable: bool, latched: bool) -> Qos:
     )
 
 
+def _reason(error: Exception) -> str:
+    return getattr(error, 'strerror', None) or str(error)
+
+
 class _WholeWrites(io.FileIO):
     """An unbuffered file that writes all it is given or raises; nothing waits in a buffer."""
 
@@ -58,8 +66,8 @@ class BagWriter:
     """Write serialised messages; a context manager.
 
     Leaving it closes the bag, whatever happened inside: what was written stays readable.  Where
-    the disk is full, the bag ends with the last complete chunk, `lost` counts the messages after
-    it, and `write` raises.
+    the disk is full, the bag ends with the last complete chunk or commit, `write` raises, and
+    `lost` counts the messages after that.
 
     Parameters
     ----------
@@ -82,7 +90,7 @@ class BagWriter:
         self._connections: dict[str, Connection] = {}
         self._reserve = self.path / '.reserve'
         self._complete = 0  # bytes of the file up to the last complete chunk
-        self._chunks = 0
+        self._chunks = self._uncommitted = 0
         plugin = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}.get(storage)
         if plugin is None:
             msg = f'`storage` must be mcap or sqlite3, got {storage!r}.'
@@ -99,7 +107,9 @@ class BagWriter:
             msg = f'Cannot make the bag `{path}`: {error.strerror}; choose a writable place.'
             raise ConfigError(msg) from error
         self._mcap = self._writer.storage if isinstance(self._writer.storage, McapWriter) else None
-        if self._mcap is not None:
+        if self._mcap is None:
+            self._sqlite = cast('Sqlite3Writer', self._writer.storage)
+        else:
             self._mcap.bio.close()
             self._mcap.bio = cast('io.BufferedWriter', _WholeWrites(self._mcap.path, 'r+'))
             self._mcap.bio.seek(0, io.SEEK_END)
@@ -122,24 +132,33 @@ class BagWriter:
     def write(self, topic: str, received_ns: int, data: bytes) -> None:
         """Append one serialised message of a declared topic."""
         self.counts[topic] += 1
+        self._uncommitted += 1
         try:
             self._writer.write(self._connections[topic], received_ns, data)
-        except OSError as error:
+            self._note_what_is_safe()
+        except DISK as error:
             self._rescue()
             msg = (
                 f'The bag `{self.path}` ends early, without the last {self.lost} messages, as '
-                f'the disk says: {error.strerror}; make room and record again.'
+                f'the disk says: {_reason(error)}; make room and record again.'
             )
             raise ConfigError(msg) from error
+
+    def _note_what_is_safe(self) -> None:
         if self._mcap is not None and len(self._mcap.chunks) > self._chunks:
             self._chunks = len(self._mcap.chunks)
             self._complete = self._mcap.bio.tell()
+        elif self._mcap is None and self._uncommitted == COMMIT:
+            self._sqlite.conn.commit()
+            self._uncommitted = 0
 
     def _rescue(self) -> None:
         """Close the bag after its last complete chunk, in the room that was set aside."""
         storage = self._mcap
-        if storage is None:  # sqlite keeps what it committed
+        if storage is None:
+            self.lost = self._uncommitted
             self._writer.abort()
+            self._reserve.unlink()
             return
         storage.bio.truncate(storage.bio.seek(self._complete))
         for number, entries in storage.chunk.msgs.items():
@@ -159,9 +178,9 @@ class BagWriter:
             return
         try:
             self._writer.close()
-        except OSError as error:
+        except DISK as error:
             self._writer.abort()
-            msg = f'Cannot finish the bag `{self.path}`: {error.strerror}; make room.'
+            msg = f'Cannot finish the bag `{self.path}`: {_reason(error)}; make room.'
             raise ConfigError(msg) from error
 
     def __enter__(self) -> Self:

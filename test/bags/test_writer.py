@@ -16,8 +16,9 @@ MESSAGE = b'\x00\x01\x00\x00' + bytes(320)
 
 
 @pytest.fixture
-def small_disk():
+def small_disk(monkeypatch):
     """Let no file grow beyond 3 MB; SIGXFSZ is ignored by Python, so that write raises."""
+    monkeypatch.setattr('multiimu_ros.bags.writer.RESERVE', 1 << 10)
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (3 << 20, before[1]))
     yield
@@ -40,9 +41,9 @@ def test_the_metadata_is_what_jazzy_writes(tmp_path, storage):
 
 
 @pytest.mark.usefixtures('small_disk')
-def test_a_full_disk_leaves_a_readable_bag(tmp_path, monkeypatch):
-    monkeypatch.setattr('multiimu_ros.bags.writer.RESERVE', 1 << 10)
-    bag = BagWriter(tmp_path / 'bag')
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_full_disk_leaves_a_readable_bag(tmp_path, storage):
+    bag = BagWriter(tmp_path / 'bag', storage)
     bag.add_topic('/imu', IMU)
     stamps = itertools.count()  # 3 MB are full after some 8000
     with pytest.raises(ConfigError, match=r'ends early.*make room'):
@@ -65,6 +66,18 @@ def test_an_error_inside_still_closes_the_bag(tmp_path, storage):
     with pytest.raises(RuntimeError):
         interrupted()
     assert list_topics(tmp_path / 'bag')[0].count == 1
+
+
+@pytest.mark.usefixtures('small_disk')
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_bag_that_cannot_be_finished_says_so(tmp_path, storage):
+    bag = BagWriter(tmp_path / 'bag', storage)
+    bag.add_topic('/imu', IMU)
+    bag.write('/imu', 3, MESSAGE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
+    with pytest.raises(ConfigError, match='Cannot finish the bag'):
+        bag.close()
+    bag.close()  # and that is all
 
 
 def test_what_cannot_be_made_is_refused(tmp_path):

@@ -1,9 +1,12 @@
 """The command line as a whole: listing, laziness, errors and exit codes."""
 
+import runpy
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
+from typer.testing import CliRunner
 
 from multiimu_ros.cli import app
 
@@ -42,11 +45,25 @@ def test_an_error_of_the_users_is_one_sentence_and_exit_code_1():
     assert 'must be a rosbag2 folder' in answer.stderr
 
 
-@pytest.mark.ros
-def test_a_node_reads_its_own_arguments():
-    answer = multiimu('play', '--help')
-    assert answer.returncode == 0
-    assert answer.stdout.startswith('usage: play')
+def test_a_node_gets_its_arguments_as_they_are(monkeypatch):
+    node = SimpleNamespace(main=lambda: sys.argv == ['play', 'bag', '--help', '--ros-args'])
+    monkeypatch.setattr(app, 'import_module', lambda name: node)
+    answer = CliRunner().invoke(app.app, ['play', 'bag', '--help', '--ros-args'])
+    assert answer.exit_code == 1  # True: they came
+
+
+def test_main_turns_errors_into_a_sentence(monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'argv', ['multiimu', 'inspect', '/nowhere'])
+    with pytest.raises(SystemExit) as leaving:
+        runpy.run_module('multiimu_ros.cli', run_name='__main__')
+    assert leaving.value.code == 1
+    assert capsys.readouterr().err.startswith('`/nowhere` must be')
+
+
+def test_the_list_is_shown_by_the_same_names(monkeypatch):
+    answer = CliRunner().invoke(app.app, ['--help'])
+    assert answer.exit_code == 0
+    assert 'inspect' in answer.stdout
 
 
 def test_verbs_whose_file_is_absent_are_not_listed(monkeypatch):

@@ -84,12 +84,15 @@ def test_the_verb_prints_json_for_machines_and_words_for_people(tmp_path, sample
             samples.stamp_ns.tolist(), encode_imus('a', samples), strict=True
         ):
             bag.write('/imu0/data_raw', stamp_ns, data)
+        bag.write('/imu0/data_raw', 0, data)  # twice the last one
     runner, path = CliRunner(), str(tmp_path / 'bag')
     answer = json.loads(runner.invoke(app, [path, '--json']).stdout)
     assert answer['candidates'] == ['/imu0/data_raw']
     assert answer['imus'][0]['rate_hz'] == pytest.approx(200.0)
-    assert [topic['count'] for topic in answer['topics']] == [N, 0]
+    assert [topic['count'] for topic in answer['topics']] == [N + 1, 0]
     words = runner.invoke(app, [path, '--topics', '/other'])
     assert words.exit_code == 0
     assert 'no Imu topic looks raw' in words.stdout
-    assert 'To fuse or calibrate: /imu0/data_raw' in runner.invoke(app, [path]).stdout
+    words = runner.invoke(app, [path]).stdout
+    assert 'To fuse or calibrate: /imu0/data_raw' in words
+    assert '/imu0/data_raw: 1 stamps ' in words
