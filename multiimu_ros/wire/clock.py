@@ -28,7 +28,8 @@ _WINDOW_US = 30e6  # a resonator that warms up by 0.1 ppm/s bends by 11 us in it
 _EXCHANGES = 32
 _MAX_SKEW = 20.0  # [ns/us] 2 %, four times a ceramic resonator's tolerance
 _MAX_SLEW = 10.0  # [ns/us] how much the stamps bend beyond that
-_HORIZON_US = 2e6  # an error is gone after this long
+_HORIZON_US = 2e6  # an error is gone after this long, or half an epoch's age
+_SHORT_US = 3e5  # lateness of 0.3 ms over this looks like a skew of 1000 ppm
 _STALL_US = 10e6  # a stream that is further off its clock than this has a new clock
 
 
@@ -53,6 +54,7 @@ class DeviceClock:
         self.epochs = 0
         self.ns_per_tick = 1000.0
         self._stamp = 0
+        self._line = (0.0, 0.0)  # y = a + b x
         self._following = False
         self._late = (0, 0.0, 0.0)  # lateness since the last fit: number, sum, sum of squares
 
@@ -97,18 +99,19 @@ class DeviceClock:
 
     def _begin(self, ticks_us: int, arrival_ns: int) -> None:
         self.epochs += 1
-        self.ns_per_tick = 1000.0
         self._following = True
         self._origin, self._first_ticks = arrival_ns, ticks_us
         self._x, self._arrival = 0, arrival_ns
-        self._line = (0.0, 0.0)  # y = a + b x
+        self._prior = self._line[1]  # the same resonator, most likely
+        self._line = (0.0, self._prior)
         self._points: deque[Point] = deque()
         self._block: list[Point] = []
         self._block_start = 0.0
         self._exchanges: deque[tuple[float, float, float]] = deque(maxlen=_EXCHANGES)
         self._late = (0, 0.0, 0.0)
         # Stamps: y = start + drift (x - x_start) + bend min(x - x_start, horizon)
-        self._segment = (0.0, 0.0, 0.0, 0.0)
+        self._segment = (0.0, 0.0, self._prior, 0.0, _HORIZON_US)
+        self.ns_per_tick = 1000.0 + self._prior
 
     def _block_length(self) -> float:
         return min(1e6, max(1e5, self._block_start / 20.0))
@@ -123,20 +126,29 @@ class DeviceClock:
         number, total, squares = self._late
         self.jitter_us = math.sqrt(max(0.0, squares / number - (total / number) ** 2)) / 1000.0
         self._late = (0, 0.0, 0.0)
-        self._line = _line_below(self._points)
+        self._line = self._fit()
         drift = self._line[1]
         self.skew_ppm = (1000.0 / (1000.0 + drift) - 1.0) * 1e6
         self._bend_to(x, self._line[0] + drift * x - self._smallest_delay())
 
+    def _fit(self) -> tuple[float, float]:
+        """Return the line below the points; a short stretch says little against the last epoch."""
+        slope = _slope_below(self._points)
+        span = self._points[-1][0] - self._points[0][0]
+        trust = span**2 / (span**2 + _SHORT_US**2)
+        drift = self._prior + trust * (slope - self._prior)
+        return min(y - drift * x for x, y in self._points), drift
+
     def _bend_to(self, x: int, target: float) -> None:
         now, drift = self._out(x), self._line[1]
-        bend = max(-_MAX_SLEW, min(_MAX_SLEW, (target - now) / _HORIZON_US))
-        self._segment = (float(x), now, drift, bend)
+        horizon = min(_HORIZON_US, max(2e5, x / 2.0))
+        bend = max(-_MAX_SLEW, min(_MAX_SLEW, (target - now) / horizon))
+        self._segment = (float(x), now, drift, bend, horizon)
         self.ns_per_tick = 1000.0 + drift + bend
 
     def _out(self, x: int) -> float:
-        x_start, start, drift, bend = self._segment
-        return start + drift * (x - x_start) + bend * min(x - x_start, _HORIZON_US)
+        x_start, start, drift, bend, horizon = self._segment
+        return start + drift * (x - x_start) + bend * min(x - x_start, horizon)
 
     def _smallest_delay(self) -> float:
         """Return what the exchanges say the line is late by [ns]; 0 without exchanges."""
@@ -160,14 +172,13 @@ def _append(hull: list[Point], point: Point) -> None:
     hull.append(point)
 
 
-def _line_below(points: Iterable[Point]) -> tuple[float, float]:
-    """Return intercept and slope of the hull's edge over the middle of the points."""
+def _slope_below(points: Iterable[Point]) -> float:
+    """Return the slope of the hull's edge over the middle of the points [ns/us]."""
     hull: list[Point] = []
     for point in points:
         _append(hull, point)
     middle = 0.5 * (hull[0][0] + hull[-1][0])
     for (x0, y0), (x1, y1) in pairwise(hull):
         if x1 >= middle and x1 > x0:
-            slope = max(-_MAX_SKEW, min(_MAX_SKEW, (y1 - y0) / (x1 - x0)))
-            return y0 - slope * x0, slope
-    return hull[-1][1], 0.0
+            return max(-_MAX_SKEW, min(_MAX_SKEW, (y1 - y0) / (x1 - x0)))
+    return 0.0
