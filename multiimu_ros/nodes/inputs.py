@@ -28,7 +28,9 @@ def declare_rig(node: Node) -> Rig:
     nominal = rig.nominal_blocks()
     if nominal:
         node.get_logger().warning(
-            f'The rig file `{path}` leaves {", ".join(nominal)} nominal: calibrate and register.'
+            f'The rig file `{path}` leaves {", ".join(nominal[:3])}'
+            f'{f" and {len(nominal) - 3} more" if len(nominal) > 3 else ""} nominal; '
+            'run `multiimu calibrate` and `multiimu register`.'
         )
     return rig
 

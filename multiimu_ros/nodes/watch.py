@@ -9,6 +9,7 @@ from rclpy.subscription import Subscription
 from multiimu_ros.nodes.inputs import ImuInput
 
 PATIENCE_S = 3.0
+ENOUGH = 10  # messages without one usable stamp
 IMU_TYPE = 'sensor_msgs/msg/Imu'
 
 
@@ -78,12 +79,16 @@ class SilenceWatch:
         self._told: set[str] = set()
 
     def check(self, log: Callable[[str], object]) -> None:
-        """Look at every topic; called about once a second."""
+        """Look at every topic; called every now and then."""
+        news = []
         for stream, subscription in self._pairs:
             unusable = stream.malformed if stream.malformed == stream.received else 0
-            if stream.silent_s() < PATIENCE_S and unusable < 10:
+            if stream.silent_s() < PATIENCE_S and unusable < ENOUGH:
                 if not unusable:
                     self._told.discard(stream.topic)
             elif stream.topic not in self._told:
                 self._told.add(stream.topic)
-                log(explain_silence(self._node, subscription, unusable))
+                news.append((subscription, unusable))
+        if news:
+            more = f' (And {len(news) - 1} more topics.)' if len(news) > 1 else ''
+            log(explain_silence(self._node, *news[0]) + more)

@@ -61,3 +61,12 @@ def test_stamps_of_zero(rig_file):
         peer.node.create_timer(0.05, lambda: peer.send('/imu0/data_raw', msg))
 
     assert 'messages came without a usable stamp' in reason(rig_file, prepare)
+
+
+def test_several_silent_topics_are_one_warning(tmp_path):
+    path = tmp_path / 'rig.yaml'
+    imus = ', '.join(f'{{name: imu{k}, frame_id: a}}' for k in range(3))
+    path.write_text(f'version: 1\nrig: {{name: three}}\nimus: [{imus}]\n')
+    text = reason(path, lambda peer: None)
+    assert text.count('nobody publishes it') == 1
+    assert '(And 2 more topics.)' in text
