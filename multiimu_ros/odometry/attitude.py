@@ -26,7 +26,7 @@ from multiimu_ros.odometry.kalman import (
     white_equivalent,
 )
 from multiimu_ros.odometry.rest import finite, RestBuffer, Sample
-from multiimu_ros.odometry.strapdown import cross
+from multiimu_ros.odometry.strapdown import cross, curvature
 from multiimu_ros.rotations import exp_so3, renormalise, right_jacobian, skew
 
 GAP = 0.05  # [s] longer steps hide motion: 20 Hz is the slowest IMU that we call one
@@ -108,7 +108,7 @@ def _gravity_update(
     for axis in range(3):
         h[axis, 6 + axis] = 1.0
         residual = force[axis] - expected[axis]
-        scalar_update(error, P, h[axis], residual, variance[axis], 6)
+        scalar_update(error, P, h[axis], residual, variance[axis], 0, 6)
 
 
 @compiled
@@ -166,7 +166,7 @@ def _step(
     still: bool,
     resting: bool,
 ) -> None:
-    """One push; `memory` is [previous rate (3), mean square of |f| - g]."""
+    """One push; `memory` (8,): last rate, mean square of |f| - g, rate before, last dt."""
     motion_sigma, still_sigma, motion_time, gap_sigma, resting_walk, gravity = settings[:6]
     walk = settings[6:9] ** 2
     error = np.zeros(9)
@@ -180,16 +180,18 @@ def _step(
             h = np.zeros(9)
             h[3 + axis] = 1.0
             noise = rate_density[axis] ** 2 / dt
-            scalar_update(error, P, h, rate[axis] - bias[axis], noise, 6)
+            scalar_update(error, P, h, rate[axis] - bias[axis], noise, 0, 6)
     else:
         hidden = gap_sigma**2 * max(0.0, dt - GAP) ** 2 / dt
-        start, end = memory[:3] - bias, rate - bias
+        bend = curvature(memory[4:7], memory[:3], rate, memory[7], dt) - bias
+        start, end = memory[:3] + bend, rate + bend
         phi = 0.5 * dt * (start + end) + dt * dt / 12.0 * cross(start, end)  # coning
         _propagate(R, P, phi, rate_density**2 + hidden, walk, dt)
         sigma = still_sigma if still else max(motion_sigma, np.sqrt(memory[3]))
         white = white + white_equivalent(sigma, motion_time, dt)
     _gravity_update(R, error, P, force, gravity, white)
     _inject(R, bias, error, P)
+    memory[4:7], memory[7] = memory[:3], dt
     memory[:3] = rate
 
 
@@ -199,20 +201,16 @@ class AttitudeFilter:
     def __init__(self, config: AttitudeConfig) -> None:
         self._settings = np.array(
             [
-                config.motion_sigma,
-                config.still_sigma,
-                config.motion_time,
-                config.motion_rate_sigma,
-                config.resting_walk,
-                config.gravity,
+                config.motion_sigma, config.still_sigma, config.motion_time,
+                config.motion_rate_sigma, config.resting_walk, config.gravity,
                 *as_vector(config.rate_bias_walk, 'rate_bias_walk'),
             ]
-        )
+        )  # fmt: skip
         self._R = np.eye(3)
         self._bias = np.zeros(3)
         sigmas = (np.ones(3), config.rate_bias_sigma, config.force_bias_sigma)
         self._P = np.diag(np.square(np.concatenate(sigmas)))
-        self._memory = np.zeros(4)
+        self._memory = np.zeros(8)
         self._aligned = self._started = False
         self._rest = RestBuffer(config.resting_lag)
         self._skipped = 0.0  # [s] time of readings that were not finite
@@ -290,14 +288,9 @@ class AttitudeFilter:
             self._memory[:3] = angular_rate
             self._started = True
             return
+        dt += self._skipped
         sample = Sample(
-            dt + self._skipped,
-            angular_rate,
-            specific_force,
-            rate_density,
-            force_density,
-            still,
-            resting,
+            dt, angular_rate, specific_force, rate_density, force_density, still, resting
         )
         self._skipped = 0.0
         for ready in self._rest.push(sample):

@@ -16,7 +16,7 @@ from multiimu_ros.odometry.kalman import (
     transform_block,
     white_equivalent,
 )
-from multiimu_ros.odometry.strapdown import increments
+from multiimu_ros.odometry.strapdown import curvature, increments
 from multiimu_ros.rotations import exp_so3, renormalise, right_jacobian, skew
 
 CREDIBLE_SQUARE = 16.0  # 4 sigma; beyond it a swinging foot that looks still for a moment
@@ -99,25 +99,25 @@ def _move(
 
 @compiled
 def _update_direct(
-    error: Vector, P: Matrix, first: int, residual: Vector, variance: Vector
+    error: Vector, P: Matrix, measured: int, residual: Vector, variance: Vector, first: int
 ) -> None:
-    """Correct by a direct measurement of three states, of which `first` is the first."""
+    """Correct the states from `first` on by seeing three states, from `measured` on."""
     for axis in range(3):
         h = np.zeros(15)
-        h[first + axis] = 1.0
-        scalar_update(error, P, h, residual[axis], variance[axis], 15)
+        h[measured + axis] = 1.0
+        scalar_update(error, P, h, residual[axis], variance[axis], first, 15)
 
 
 @compiled
 def _update_gravity(
     error: Vector, P: Matrix, R: Matrix, residual: Vector, variance: Vector, gravity: float
 ) -> None:
-    """Correct by force = R' g + accel bias + noise."""
+    """Correct all but the position by force = R' g + accel bias + noise."""
     h = np.zeros((3, 15))
     h[:, 6:9] = skew(gravity * R[2])
     for axis in range(3):
         h[axis, 12 + axis] = 1.0
-        scalar_update(error, P, h[axis], residual[axis], variance[axis], 15)
+        scalar_update(error, P, h[axis], residual[axis], variance[axis], 3, 15)
 
 
 @compiled
@@ -132,7 +132,7 @@ def _inject(x: Vector, R: Matrix, P: Matrix, error: Vector) -> None:
 @compiled
 def _zero_velocity(x: Vector, R: Matrix, P: Matrix, variance: float) -> None:
     error = np.zeros(15)
-    _update_direct(error, P, 3, -x[3:6], np.full(3, variance))
+    _update_direct(error, P, 3, -x[3:6], np.full(3, variance), 0)
     _inject(x, R, P, error)
 
 
@@ -192,15 +192,17 @@ def step(
     still: bool,
     resting: bool,
 ) -> None:
-    """Take one sample; `memory` (8,): previous rate, force, rest, time still."""
+    """Take one sample; `memory` (15,): last rate, force, rest, time still; those before, dt."""
     gravity, velocity_sigma, velocity_time, resting_velocity, resting_walk = settings[:5]
     walks = settings[9:15] ** 2
     if resting:
         if memory[6] == 0.0:  # the last of what the velocity tells about the other states
             _zero_velocity(x, R, P, white_equivalent(resting_velocity, velocity_time, dt))
         _hold(x, P, resting_velocity**2, resting_walk**2 * dt, walks * dt)
+        # What a rest tells of biases and tilt could move the position in retrospect; whoever
+        # looks on would see a standing rig move, so it is only considered.
         error = np.zeros(15)
-        _update_direct(error, P, 9, rate - x[9:12], rate_density**2 / dt)
+        _update_direct(error, P, 9, rate - x[9:12], rate_density**2 / dt, 3)
         residual = force - x[12:15] - gravity * R[2]
         _update_gravity(error, P, R, residual, force_density**2 / dt, gravity)
         _inject(x, R, P, error)
@@ -211,7 +213,11 @@ def step(
         rate_psd = rate_psd + settings[7] ** 2 * np.sum((rate - x[9:12]) ** 2) * dt
         force_psd = force_psd + settings[8] ** 2 * np.sum((force - gravity * R[2]) ** 2) * dt
         R0 = R.copy()
-        _move(x, R, P, memory[:3], memory[3:6], rate, force, dt, gravity)
+        turn = curvature(memory[8:11], memory[:3], rate, memory[14], dt)
+        push = curvature(memory[11:14], memory[3:6], force, memory[14], dt)
+        _move(
+            x, R, P, memory[:3] + turn, memory[3:6] + push, rate + turn, force + push, dt, gravity
+        )  # fmt: skip
         _add_noise(P, R0, rate_psd, force_psd, walks, dt)
         if still:
             roll = settings[15] ** 2 * np.sum((rate - x[9:12]) ** 2)
@@ -220,4 +226,5 @@ def step(
             if memory[7] > CONFIRMED or _credible(x, P, variance):
                 _zero_velocity(x, R, P, variance)
     memory[7] = memory[7] + dt if still else 0.0
+    memory[8:14], memory[14] = memory[:6], dt
     memory[:3], memory[3:6], memory[6] = rate, force, 1.0 if resting else 0.0

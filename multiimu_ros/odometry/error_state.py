@@ -72,7 +72,7 @@ class ErrorStateConfig:
     rolling_arm: float = 0.0
     rate_scale_sigma: float = 0.0
     force_scale_sigma: float = 0.0
-    resting_velocity_sigma: float = 1e-3
+    resting_velocity_sigma: float = 3e-4
     resting_walk: float = 1e-5
     resting_lag: float = 0.25
     gravity: float = 9.80665
@@ -109,7 +109,7 @@ class ErrorStateFilter:
         self._R = np.eye(3)
         sigmas = (np.zeros(6), np.ones(3), config.rate_bias_sigma, config.force_bias_sigma)
         self._P = np.diag(np.square(np.concatenate(sigmas)))
-        self._memory = np.zeros(8)
+        self._memory = np.zeros(15)
         self._aligned = self._started = False
         self._rest = RestBuffer(config.resting_lag)
         self._skipped = 0.0  # [s] time of readings that were not finite
@@ -219,7 +219,8 @@ class ErrorStateFilter:
                 specific_force, self._config.motion_sigma, self._config.motion_velocity_sigma
             )
         if not self._started:
-            self._memory[:] = (*angular_rate, *specific_force, 0.0, 0.0)
+            self._memory[:] = 0.0
+            self._memory[:6] = (*angular_rate, *specific_force)
             self._started = True
             return
         sample = Sample(

@@ -2,8 +2,8 @@
 
 Measurements enter one scalar at a time, which is exact when their noises are independent and
 needs no matrix inverse.  The covariance follows Joseph's form [1]_, true for any gain; with
-a = P h and s = h.a + r it reads P - K a' - a K' + s K K'.  States past the first `active` are
-only considered (Schmidt): they widen the others' uncertainty and are never corrected.
+a = P h and s = h.a + r it reads P - K a' - a K' + s K K'.  States outside `first`
+to `last` are only considered (Schmidt): they widen the others' uncertainty, uncorrected.
 
 .. [1] P. S. Maybeck, "Stochastic Models, Estimation, and Control", vol. 1, 1979, eq. (5-89).
 """
@@ -16,7 +16,7 @@ from multiimu_ros.compiled import compiled
 
 @compiled
 def scalar_update(
-    error: Vector, P: Matrix, h: Vector, residual: float, variance: float, active: int
+    error: Vector, P: Matrix, h: Vector, residual: float, variance: float, first: int, last: int
 ) -> None:
     """Correct `error` and `P` in place by one scalar measurement.
 
@@ -32,8 +32,8 @@ def scalar_update(
         Measured minus predicted, at an error of zero.
     variance : float
         Variance of the measurement's noise.
-    active : int
-        How many leading states the measurement may correct.
+    first, last : int
+        The states that the measurement may correct, `last` excluded.
     """
     n = len(error)
     a = np.zeros(n)
@@ -48,8 +48,9 @@ def scalar_update(
     if not (s > 0.0 and np.isfinite(s) and np.isfinite(innovation)):
         return  # a NaN must not reach the state
     K = a / s
-    K[active:] = 0.0
-    for i in range(active):
+    K[:first] = 0.0
+    K[last:] = 0.0
+    for i in range(first, last):
         error[i] += K[i] * innovation
     for i in range(n):
         for j in range(i + 1):

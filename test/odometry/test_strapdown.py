@@ -5,7 +5,7 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.spatial.transform import Rotation
 
-from multiimu_ros.odometry.strapdown import attitude_rk4, increments, mechanise
+from multiimu_ros.odometry.strapdown import attitude_rk4, curvature, increments, mechanise
 from multiimu_ros.rotations import exp_so3
 
 G = 9.80665
@@ -81,15 +81,25 @@ def waving(rate_hz, seconds=4.0):
     return stamps(len(t), rate_hz), rate, force, R.as_matrix(), position, velocity
 
 
-def test_error_falls_with_the_square_of_the_step():
+def test_error_falls_with_the_cube_of_the_step():
     errors = []
     for rate_hz in (100, 200, 400):
         stamp_ns, rate, force, R, position, velocity = waving(rate_hz)
         motion = mechanise(stamp_ns, rate, force, R[0], velocity[0])
         errors.append(np.abs(motion.position_n - (position - position[0])).max())
-    # Second order: halving the step leaves a quarter.
-    assert_allclose(np.array(errors[:-1]) / errors[1:], 4.0, rtol=0.1)
+    # Third order, thanks to the parabola: halving the step leaves an eighth.
+    assert_allclose(np.array(errors[:-1]) / errors[1:], 8.0, rtol=0.1)
     assert errors[1] < 1e-3  # 200 Hz, 4 s: below a good sensor's own drift
+
+
+def test_curvature_is_what_the_mean_of_a_parabola_has_over_its_chord(rng):
+    a, b, c = rng.standard_normal((3, 3))
+    earlier, start, end = (a + b * t + c * t**2 for t in (-0.3, 0.0, 0.4))
+    mean = a + b * 0.2 + c * 0.4**2 / 3.0
+    bend = curvature(earlier, start, end, 0.3, 0.4)
+    assert_allclose(0.5 * (start + end) + bend, mean, rtol=1e-12)
+    assert (curvature(earlier, start, end, 0.0, 0.4) == 0.0).all()
+    assert (curvature(earlier, start, end, 0.1, 0.4) == 0.0).all()
 
 
 def test_coning_term_beats_plain_averaging():
