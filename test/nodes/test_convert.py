@@ -1,5 +1,6 @@
 """The codec against rclpy's own serialisation, field by field."""
 
+from geometry_msgs.msg import Twist, TwistWithCovarianceStamped
 from hypothesis import given, strategies as st
 from nav_msgs.msg import Odometry
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu
 
+from multiimu_ros.fused_frame import FusedFrame, SIZE
 from multiimu_ros.nodes import convert
 
 FRAMES = st.text(st.characters(codec='utf-8', exclude_characters='\x00'), max_size=40)
@@ -26,6 +28,7 @@ def imu_message(frame_id, stamp_ns, six):
 @given(frame_id=FRAMES, stamp_ns=STAMPS, six=SIX)
 def test_decoding_agrees_with_rclpy(frame_id, stamp_ns, six):
     data = serialize_message(imu_message(frame_id, stamp_ns, six))
+    assert convert._head(data) is not None  # by offsets, not by falling back to rclpy
     assert convert.decode_imu(data) == (stamp_ns, frame_id, tuple(six))
 
 
@@ -79,3 +82,38 @@ def test_rubbish_is_none_and_never_an_exception(data):
 def test_a_cut_message_is_none(cut):
     data = serialize_message(imu_message('imu0_link', 5, [0.0] * 6))
     assert convert.decode_imu(data[:-cut]) is None
+
+
+def test_a_fused_frame_lies_in_the_messages_where_ros_expects_it(rng):
+    frame = FusedFrame(1, True, np.ones(1), rng.standard_normal(SIZE))
+    imu = deserialize_message(
+        convert.StampedEncoder('a').encode(1, convert.fused_imu_numbers(frame)), Imu
+    )
+    q, w, f = imu.orientation, imu.angular_velocity, imu.linear_acceleration
+    assert [q.x, q.y, q.z, q.w] == frame.orientation.tolist()
+    assert [w.x, w.y, w.z, f.x, f.y, f.z] == [*frame.angular_rate, *frame.specific_force]
+    assert list(imu.orientation_covariance) == [*frame.orientation_covariance.flat]
+    assert list(imu.angular_velocity_covariance) == [*frame.angular_rate_covariance.flat]
+    assert list(imu.linear_acceleration_covariance) == [*frame.specific_force_covariance.flat]
+
+
+def test_a_fused_frame_lies_in_the_odometry_where_ros_expects_it(rng):
+    frame = FusedFrame(1, True, np.ones(1), rng.standard_normal(SIZE))
+    odom = deserialize_message(
+        convert.StampedEncoder('a', 'b').encode(1, convert.odometry_numbers(frame)), Odometry
+    )
+    p, q = odom.pose.pose.position, odom.pose.pose.orientation
+    v, w = odom.twist.twist.linear, odom.twist.twist.angular
+    assert [p.x, p.y, p.z] == frame.position_n.tolist()
+    assert [q.x, q.y, q.z, q.w] == frame.odom_orientation.tolist()
+    assert list(odom.pose.covariance) == [*frame.pose_covariance.flat]
+    assert [v.x, v.y, v.z, w.x, w.y, w.z] == [*frame.velocity_b, *frame.angular_rate]
+    assert list(odom.twist.covariance) == [*frame.twist_covariance.flat]
+
+
+def test_a_still_frame_is_a_twist_of_zero_with_its_covariance(rng):
+    frame = FusedFrame(1, True, np.ones(1), rng.standard_normal(SIZE))
+    data = convert.StampedEncoder('base_link').encode(1, convert.still_twist_numbers(frame))
+    twist = deserialize_message(data, TwistWithCovarianceStamped).twist
+    assert twist.twist == Twist()
+    assert list(twist.covariance) == [*frame.twist_covariance.flat]
