@@ -2,10 +2,8 @@
 
 import argparse
 from array import array
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from functools import partial
-from queue import Empty, Full, Queue
 import signal
 import sys
 from threading import Event, Thread
@@ -20,12 +18,12 @@ from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 
 from multiimu_ros.arrays import NANOSECONDS
-from multiimu_ros.bags import list_topics, Message, read_messages, Topic
+from multiimu_ros.bags import list_topics, Topic
 from multiimu_ros.errors import ConfigError, MultiImuError
+from multiimu_ros.nodes.read_ahead import ReadAhead
 from multiimu_ros.nodes.run import run
 from multiimu_ros.nodes.topics import message_class
 
-READ_AHEAD = 20_000  # messages
 TOGETHER_S = 2e-4  # what is due within this is published at once
 CLOCK_S = 0.01  # the longest wait between two messages of /clock
 SETTLE_S = 0.3  # from the first sign of a subscriber until it hears us too
@@ -42,13 +40,13 @@ class PlayNode(Node):
         self._late = array('d')  # [s], of each message
         self._error: MultiImuError | None = None
         self._stop = Event()
-        self._queue: Queue[Message | MultiImuError | None] = Queue(READ_AHEAD)
+        self._told_ns = 0
         self._outputs = self._advertise(list_topics(options.bag))
         self._clock = self.create_publisher(Clock, '/clock', 10) if options.clock else None
-        self._threads = [Thread(target=self._read), Thread(target=self._play)]
         sys.setswitchinterval(SWITCH_S)
-        for thread in self._threads:
-            thread.start()
+        self._messages = ReadAhead(options.bag, list(self._outputs), self._stop)
+        self._thread = Thread(target=self._play)
+        self._thread.start()
 
     def _advertise(self, topics: Sequence[Topic]) -> dict[str, Publisher]:
         wanted = {name.lstrip('/') for name in self._options.topics}
@@ -72,52 +70,30 @@ class PlayNode(Node):
             raise ConfigError(msg)
         return outputs
 
-    def _read(self) -> None:
-        """Keep the queue filled; None ends it."""
-        try:
-            for message in read_messages(self._options.bag, list(self._outputs)):
-                if not self._put(message):
-                    return
-            self._put(None)
-        except MultiImuError as error:
-            self._put(error)
-
-    def _put(self, item: Message | MultiImuError | None) -> bool:
-        while not self._stop.is_set():
-            try:
-                self._queue.put(item, timeout=0.1)
-            except Full:
-                continue
-            return True
-        return False
-
-    def _messages(self) -> Iterator[Message]:
-        while not self._stop.is_set():
-            with suppress(Empty):
-                item = self._queue.get(timeout=0.1)
-                if not isinstance(item, Message):
-                    self._error = item
-                    return
-                yield item
-
     def _play(self) -> None:
         self._wait_for_subscribers()
         begin = time.monotonic()
-        first_ns = -1
-        for message in self._messages():
-            if first_ns < 0:
-                begin, first_ns = time.monotonic(), message.received_ns
-            passed_s = (message.received_ns - first_ns) / NANOSECONDS / self._options.rate
-            if not self._sleep(begin + passed_s, message.received_ns):
-                break
-            self._outputs[message.topic].publish(message.data)
-            self._late.append(max(0.0, time.monotonic() - begin - passed_s))
+        try:
+            self._publish_in_time()
+        except MultiImuError as error:
+            self._error = error
         seconds = time.monotonic() - begin
         for output in self._outputs.values():
             output.wait_for_all_acked(Duration(seconds=1))
         self.get_logger().info(self._report(seconds))
         if not self._stop.is_set():
-            signal.raise_signal(signal.SIGTERM)  # `run` knows no other way to end
+            signal.raise_signal(signal.SIGTERM)  # the way to end `run` from within
+
+    def _publish_in_time(self) -> None:
+        begin, first_ns = 0.0, -1
+        for message in self._messages:
+            if first_ns < 0:
+                begin, first_ns = time.monotonic(), message.received_ns
+            passed_s = (message.received_ns - first_ns) / NANOSECONDS / self._options.rate
+            if not self._sleep(begin + passed_s, message.received_ns):
+                return
+            self._outputs[message.topic].publish(message.data)
+            self._late.append(max(0.0, time.monotonic() - begin - passed_s))
 
     def _wait_for_subscribers(self) -> None:
         """Wait until every topic is heard, but no longer than the user wants."""
@@ -143,8 +119,9 @@ class PlayNode(Node):
 
     def _tell(self, bag_ns: int) -> None:
         if self._clock:
+            self._told_ns = max(self._told_ns, bag_ns)  # what is due soon was told early
             clock = Clock()
-            clock.clock.sec, clock.clock.nanosec = divmod(bag_ns, NANOSECONDS)
+            clock.clock.sec, clock.clock.nanosec = divmod(self._told_ns, NANOSECONDS)
             self._clock.publish(clock)
 
     def _report(self, seconds: float) -> str:
@@ -156,10 +133,10 @@ class PlayNode(Node):
         )
 
     def destroy_node(self) -> None:
-        """End the threads; an error of the reading one ends the process with a sentence."""
+        """End the threads; an error of the reading one goes on to `main`."""
         self._stop.set()
-        for thread in self._threads:
-            thread.join()
+        self._thread.join()
+        self._messages.thread.join()
         super().destroy_node()
         if self._error is not None:
             raise self._error
