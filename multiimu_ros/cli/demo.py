@@ -185,7 +185,7 @@ def _tell(outcome: Outcome, report: Path, console: Console, as_machine: bool) ->
 def _table(rows: Sequence[Row]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, title='rms error against the truth', title_justify='left')
     table.add_column('', no_wrap=True)
-    for head in ('best single', 'plain mean', 'array', 'gain', f'ideal 1/√{IMUS}'):
+    for head in ('best IMU', 'plain mean', 'array', 'gain', 'ideal'):
         table.add_column(head, justify='right', style='bold blue' if head == 'array' else None)
     for row in rows:
         scale = row.quantity.per_si

@@ -8,7 +8,7 @@ import numpy as np
 
 from multiimu_ros.arrays import NANOSECONDS
 from multiimu_ros.report import figures as draw
-from multiimu_ros.report.comparison import ARRAY, Comparison, MEAN, SETTLING
+from multiimu_ros.report.comparison import ALIGNED_AT, ARRAY, Comparison, SETTLING
 from multiimu_ros.report.page import facts, notes, picture, score_table, write_page
 from multiimu_ros.report.recorded import Recorded
 from multiimu_ros.report.scores import not_won
@@ -16,7 +16,6 @@ from multiimu_ros.report.tracks import Track
 from multiimu_ros.rig import Rig
 
 CLOSE_UP = 10.0  # [s] of error that the eye can still resolve
-REST = 4.0  # [s] before the motion begins
 
 
 @dataclass(frozen=True)
@@ -133,14 +132,15 @@ def _lead(outcome: Outcome) -> str:
 
 def _facts(outcome: Outcome) -> dict[str, str]:
     figures, late = outcome.figures(), outcome.comparison.lateness
-    loads = ' + '.join(f'{load:.0f}' for load in outcome.cpu().values())
+    loads = outcome.cpu()
+    shown = {f'{name}, % of a core': f'{load:.0f}' for name, load in loads.items()}
     return {
         'fused messages': f'{figures["fused_messages"]:.0f}',
         'scans without one': f'{outcome.unfused}',
         'age on arrival, p50 / p99': f'{1e3 * figures["age_p50_s"]:.1f} / '
         f'{1e3 * figures["age_p99_s"]:.1f} ms',
         'stamps late by (taken out)': f'{1e3 * late.seconds:.3f} ms',
-        f'{" + ".join(outcome.cpu())}': f'{loads} % of a core',
+        **shown,
     }
 
 
@@ -149,18 +149,18 @@ def _pictures(outcome: Outcome) -> list[str]:
     errors, rig = comparison.errors, outcome.rig
     array, track = errors[ARRAY], comparison.tracks[ARRAY]
     best = {key: errors[comparison.best(key)] for key in vars(array) if key != 'stamp_ns'}
-    window = (REST, min(REST + CLOSE_UP, outcome.duration - SETTLING))
+    window = (SETTLING, min(SETTLING + CLOSE_UP, outcome.duration - ALIGNED_AT))
     root = float(np.sqrt(len(rig.imus)))
     densities = _densities(rig)
     ideal = densities[0] / root, densities[1] / root
     age = {'p50': np.quantile(outcome.recorded.ages, 0.5)}
     age['p99'] = np.quantile(outcome.recorded.ages, 0.99)
-    everyone = {**comparison.singles, MEAN: errors[MEAN], ARRAY: array}
+    singles = {name: comparison.scored[name] for name in rig.names}
     return [
         picture(
             'Every IMU alone, their mean, the array',
             'Shorter is better. The dashed line is what independent errors would average to.',
-            draw.scoreboard(comparison.rows, comparison.singles),
+            draw.scoreboard(comparison.rows, singles),
         ),
         picture(
             'Errors of rate and force',
@@ -187,7 +187,7 @@ def _pictures(outcome: Outcome) -> list[str]:
         picture(
             'Position error',
             'It grows while the rig moves, and falls back when it is laid down.',
-            draw.position_error(everyone, comparison.best('position_n')),
+            draw.position_error(errors, comparison.best('position_n')),
         ),
         picture(
             'Who is trusted',
@@ -226,8 +226,8 @@ def _notes(outcome: Outcome) -> list[str]:
             "of the board's clock."
         ),
         (
-            'Yaw and origin are aligned to the truth over the first second that is scored, for '
-            'no IMU knows north or its place.'
+            'Yaw and origin are aligned to the truth in the rest before the motion, from '
+            f'{ALIGNED_AT:g} to {ALIGNED_AT + 1:g} s, for no IMU knows north or its place.'
         ),
         (
             'The driver can only know when bytes arrived, so all stamps are late by what the '

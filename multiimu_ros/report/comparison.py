@@ -13,13 +13,17 @@ from multiimu_ros.report.truth import fit_lateness, Lateness, Truth
 from multiimu_ros.rig import Rig
 from multiimu_ros.samples import ImuSamples
 
+ALIGNED_AT = 1.0  # [s] after the start, at rest: yaw and origin are those of the truth
 SETTLING = 6.0  # [s] not scored: the driver is still learning how fast the board's clock runs
 MEAN, ARRAY = 'mean', 'array'
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """All that a report shows; `errors` and `tracks` are by name: each IMU's, `mean`, `array`."""
+    """All that a report shows; `errors` and `tracks` are by name: each IMU's, `mean`, `array`.
+
+    They begin where they are aligned; `rows` are over what comes after the settling.
+    """
 
     rows: tuple[Row, ...]
     tracks: Mapping[str, Track]
@@ -27,15 +31,11 @@ class Comparison:
     truth: Truth  # at the stamps of the array
     lateness: Lateness
     rate_hz: float
+    scored: Mapping[str, Errors]  # `errors` without the settling
 
     def best(self, key: str) -> str:
         """Name the best single IMU in a quantity."""
         return next(row.best_imu for row in self.rows if row.quantity.key == key)
-
-    @property
-    def singles(self) -> dict[str, Errors]:
-        """Errors of each IMU alone."""
-        return {name: e for name, e in self.errors.items() if name not in (MEAN, ARRAY)}
 
 
 def rerun(
@@ -73,15 +73,16 @@ def score(
     """
     mean = mean_of(rig, raw)
     lateness = fit_lateness(truth, mean.stamp_ns, mean.angular_rate)
-    begin = max(int(track.stamp_ns[0]) for track in tracks.values())
-    begin += round(SETTLING * NANOSECONDS)
+    start = max(int(track.stamp_ns[0]) for track in tracks.values())
+    begin = start + round(ALIGNED_AT * NANOSECONDS)
     end = min(int(track.stamp_ns[-1]) for track in tracks.values())
     end = min(end, int(truth.stamp_ns[-1]))
     kept = {name: track.between(begin, end) for name, track in tracks.items()}
     truths = {name: truth.at(track.stamp_ns, lateness.seconds) for name, track in kept.items()}
     errors = {name: errors_of(track, truths[name]) for name, track in kept.items()}
-    singles = {name: errors[name] for name in rig.names}
+    scored = {n: e.after(start + round(SETTLING * NANOSECONDS)) for n, e in errors.items()}
+    singles = {name: scored[name] for name in rig.names}
     rate_hz = float(np.median([samples.rate_hz for samples in raw]))
     noise = noise_of_one_sample(rig, rate_hz)
-    rows = compare(singles, errors[MEAN], errors[ARRAY], noise)
-    return Comparison(rows, kept, errors, truths[ARRAY], lateness, rate_hz)
+    rows = compare(singles, scored[MEAN], scored[ARRAY], noise)
+    return Comparison(rows, kept, errors, truths[ARRAY], lateness, rate_hz, scored)

@@ -158,14 +158,18 @@ def spectra(single: Errors, fused: Errors, rate_hz: float, ideal: tuple[float, f
 
 
 def _amplitude(error: Vectors, rate_hz: float) -> tuple[Scalars, Scalars]:
-    """Return frequencies [Hz] and the one-sided amplitude density, mean of three axes."""
+    """Return frequencies [Hz] and the noise density there, rms of three axes.
+
+    As in the rig file, white noise of density N has a variance of N^2 times the rate: half the
+    one-sided power density.
+    """
     length = min(len(error), round(8 * rate_hz))
     frequency, power = welch(error, rate_hz, nperseg=length, axis=0)
     # Twenty points a decade: the eye needs no more, and the noise of the estimate averages out.
     bins = np.unique(np.round(20 * np.log10(frequency[1:])), return_inverse=True)[1]
     count = np.bincount(bins)
     mean_power = np.bincount(bins, power[1:].mean(axis=1)) / count
-    return np.bincount(bins, frequency[1:]) / count, np.sqrt(mean_power)
+    return np.bincount(bins, frequency[1:]) / count, np.sqrt(mean_power / 2)
 
 
 def attitude(single: Errors, fused: Errors, track: Track) -> bytes:
@@ -255,29 +259,29 @@ def weights(track: Track, names: Sequence[str]) -> bytes:
     return draw(paint, 2.8)
 
 
-def latency(ages: Scalars, hops: Mapping[str, float]) -> bytes:
+def latency(ages: Scalars, quantiles: Mapping[str, float]) -> bytes:
     """Draw how old (N,) the fused messages were when another process got them [s]."""
 
     def paint(figure: Figure) -> None:
         axes = figure.subplots()
-        shown = 1e3 * ages
-        edge = float(np.quantile(shown, 0.995)) * 1.1
-        axes.hist(shown.clip(None, edge), bins=80, range=(0, edge), color=FUSED)
-        for height, (label, value) in zip((0.93, 0.8), hops.items(), strict=False):
+        shown = 1e3 * ages[ages > 0]
+        low, high = float(shown.min()), max(float(np.quantile(shown, 0.999)), 2 * shown.min())
+        axes.hist(shown, bins=np.geomspace(low, high, 80).tolist(), color=FUSED)
+        axes.set_xscale('log')
+        for height, (label, value) in zip((0.93, 0.8), quantiles.items(), strict=False):
             axes.axvline(1e3 * value, color='black', lw=1.0)
-            right = 1e3 * value < 0.8 * edge
+            left = 1e3 * value < np.sqrt(low * high)
             axes.annotate(
                 f'{label}: {1e3 * value:.1f} ms',
                 (1e3 * value, height),
-                (4 if right else -4, 0),
-                ha='left' if right else 'right',
+                (4 if left else -4, 0),
+                ha='left' if left else 'right',
                 xycoords=('data', 'axes fraction'),
                 textcoords='offset points',
             )
-        axes.set(
-            xlabel='age of imu/data when another process got it [ms]',
-            ylabel='messages',
-            xlim=(0, edge),
-        )
+        for write in (axes.xaxis.set_major_formatter, axes.xaxis.set_minor_formatter):
+            write('{x:g}')
+        axes.xaxis.set_minor_locator(LogLocator(subs=(2, 5)))
+        axes.set(xlabel='age of imu/data when another process got it [ms]', ylabel='messages')
 
     return draw(paint, 2.8)

@@ -2,7 +2,7 @@
 
 Rate and force are scored per axis, attitude as the angle and position as the distance between
 estimate and truth, all as root mean squares over the same instants.  No IMU can see north or its
-own place, so yaw and origin are aligned to the truth over the first second that is scored.
+own place, so yaw and origin are aligned to the truth over the first second of a track.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,6 +40,11 @@ class Errors:
     specific_force: Vectors
     attitude_n: Vectors
     position_n: Vectors
+
+    def after(self, stamp_ns: int) -> 'Errors':
+        """Return the part from an instant on."""
+        kept = self.stamp_ns >= stamp_ns
+        return Errors(*(column[kept] for column in vars(self).values()))
 
 
 @dataclass(frozen=True)
