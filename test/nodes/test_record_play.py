@@ -133,13 +133,14 @@ def test_a_bag_that_breaks_off_ends_play_with_exit_code_1(tmp_path):
 
 
 def test_a_full_disk_ends_record_with_one_sentence_and_a_readable_bag(tmp_path):
-    bag = write_bag(tmp_path / 'bag', 6000, period_ns=100_000)  # 4 MB in 0.6 s
+    bag = write_bag(tmp_path / 'bag', 9000, period_ns=300_000)  # 6 MB in 2.7 s
     limit = (3 << 20, resource.getrlimit(resource.RLIMIT_FSIZE)[1])
     with started('record', '-o', tmp_path / 'copy', domain=DOMAIN) as record:
-        wait_until((tmp_path / 'copy').exists, 20, 'the new bag')
+        reserve = tmp_path / 'copy' / '.reserve'
+        wait_until(lambda: reserve.exists() and reserve.stat().st_size, 20, 'the new bag')
         resource.prlimit(record.pid, resource.RLIMIT_FSIZE, limit)
         run_to_its_end('play', bag, '--wait', '20')
-        _, said = record.communicate(timeout=20)
+        _, said = record.communicate(timeout=40)
     assert record.returncode == 1
     assert re.search(r'ends early, without the last \d+ messages, as the disk says', said)
     assert sum(topic.count for topic in list_topics(tmp_path / 'copy')) > 4000
