@@ -16,7 +16,7 @@ from multiimu_ros.nodes.stage import Message, StageNode
 from multiimu_ros.rig import Extrinsics, Rig
 
 ALIGNED = Extrinsics(rotation_sigma=(0.0, 0.0, 0.0))  # the mounting is the next stage's business
-UNKNOWN = np.zeros((3, 3))  # as REP 145 has it
+EMPTY = imu_numbers(np.zeros((3, 3)), np.zeros((3, 3)))  # REP 145: zeros are unknown
 RATE_DIAGONAL, FORCE_DIAGONAL = slice(16, 25, 4), slice(28, 37, 4)
 
 
@@ -34,7 +34,7 @@ class Calibrator:
         """Calibrate one reading."""
         A, c = self._maps[k]
         values = A @ reading + c
-        numbers = imu_numbers(UNKNOWN, UNKNOWN)
+        numbers = EMPTY.copy()
         if rate_hz > 0:  # NaN until the rate is known
             variance = self._model.density[k] ** 2 * rate_hz + self._model.bias_variance[k]
             variance += self._model.scale_variance[k] @ values**2
