@@ -77,6 +77,9 @@ class Scan:
     noise_gain: Scalars
 
 
+NO_SCANS: tuple[Scan, ...] = ()  # what nearly every push returns
+
+
 @dataclass(frozen=True)
 class StreamHealth:
     """What became of one stream: its state in one word, and its counters."""
@@ -136,7 +139,7 @@ class Synchronizer:
         """Forget all samples, keep the counters: the next stamp may be anything."""
         s.restart(self._streams)
 
-    def push(self, stream: int, stamp_ns: int, values: Sequence[float] | Vector) -> list[Scan]:
+    def push(self, stream: int, stamp_ns: int, values: Sequence[float] | Vector) -> Sequence[Scan]:
         """Take one reading (6 numbers, rate then force); return the scans that became due."""
         self._sample[:] = values
         due_ns = s.take(self._streams, stream, stamp_ns)
@@ -144,6 +147,8 @@ class Synchronizer:
             self.time_jumps += 1
             self.restart()
             due_ns = s.take(self._streams, stream, stamp_ns)
+        if due_ns < 0:
+            return NO_SCANS
         scans: list[Scan] = []
         while due_ns >= 0:
             scan = self._streams.scan
