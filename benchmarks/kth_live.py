@@ -9,7 +9,6 @@ at rest, and the largest difference from `multiimu fuse`.
 import argparse
 import json
 from pathlib import Path
-import subprocess
 import sys
 import tempfile
 
@@ -18,7 +17,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / 'test'))
 
 import kth
-from live_chain import numbers, replay
+from live_chain import fuse, numbers, replay
 
 from multiimu_ros.registration.transform import register
 from multiimu_ros.rig import save_rig
@@ -33,8 +32,7 @@ def figures(name, seconds, folder):
     rig_file, bag = folder / 'rig.yaml', folder / name
     save_rig(rig, rig_file)
     scans = kth.write_bag(name, bag, seconds=seconds)
-    fuse = [sys.executable, '-m', 'multiimu_ros.cli', 'fuse', bag, '--rig', rig_file]
-    subprocess.run([*fuse, '-o', folder / 'fused', '--json'], check=True, capture_output=True)
+    fuse(bag, rig_file, folder / 'fused')
     # After the fusion of the bag: it has filled the cache of compiled kernels.
     replay(bag, rig_file, folder / 'live', domain=DOMAIN, seconds=scans / 62.5)
     difference = {}

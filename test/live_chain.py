@@ -12,6 +12,9 @@ import rclpy
 
 from multiimu_ros.bags import read_messages
 
+MULTIIMU = [sys.executable, '-m', 'multiimu_ros.cli']
+# Ten minutes of eight IMUs are for machine code, even where coverage runs the rest without it.
+ENVIRONMENT = {**os.environ, 'MULTIIMU_COMPILED': '1'}
 NODES = ('calibration', 'registration', 'fusion')
 START_S = 30.0  # until the graph stands; a cold numba cache compiles first
 NUMBERS = {'/imu/data': 37, '/odom': 85}  # doubles at the end of the message
@@ -21,11 +24,11 @@ NUMBERS = {'/imu/data': 37, '/odom': 85}  # doubles at the end of the message
 def started(verb, *arguments, domain):
     """Run `multiimu <verb>`; what still runs at the end is killed."""
     environment = {
-        **os.environ,
+        **ENVIRONMENT,
         'ROS_DOMAIN_ID': str(domain),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
     }
-    command = [sys.executable, '-m', 'multiimu_ros.cli', verb, *map(str, arguments)]
+    command = [*MULTIIMU, verb, *map(str, arguments)]
     running = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
     try:
         yield running
@@ -65,6 +68,12 @@ def wait_until(condition, seconds, what):
     while not condition():
         assert time.monotonic() < until, f'{what} did not happen within {seconds} s'
         time.sleep(0.05)
+
+
+def fuse(bag, rig_file, output):
+    """Run `multiimu fuse`, without ROS."""
+    command = [*MULTIIMU, 'fuse', bag, '--rig', rig_file, '-o', output, '--json']
+    subprocess.run(command, env=ENVIRONMENT, check=True, stdout=subprocess.DEVNULL)
 
 
 def replay(bag, rig_file, output, *, domain, seconds):

@@ -7,24 +7,17 @@ data/README.md of the recordings says how the noise is measured: a plain mean of
 import functools
 
 import kth
-from live_chain import numbers, replay
+from live_chain import fuse, numbers, replay
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
-from typer.testing import CliRunner
 
-from multiimu_ros.cli.fuse import app
 from multiimu_ros.registration.transform import register
 from multiimu_ros.rig import save_rig
 
 pytestmark = pytest.mark.realdata
 RATE, FORCE, POSITION = slice(13, 16), slice(25, 28), slice(0, 3)  # in the doubles of a message
 REST_S = 10  # the board rests that long before it is turned for the first time
-
-
-def fuse(bag, rig_file, output):
-    command = [str(bag), '--rig', str(rig_file), '-o', str(output), '--json']
-    assert CliRunner().invoke(app, command, catch_exceptions=False).exit_code == 0
 
 
 @pytest.fixture(scope='module', params=['exp_3', 'exp_4'])
