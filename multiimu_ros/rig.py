@@ -9,6 +9,7 @@ what a data sheet promises, not what a calibration found.  Every estimate `key` 
 from collections.abc import Sequence
 import os
 from pathlib import Path
+import shutil
 import tempfile
 from typing import Annotated, Any, Literal
 
@@ -268,29 +269,26 @@ def save_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
     Raises
     ------
     ConfigError
-        If the file cannot be written; nothing is changed then.
+        If the file cannot be written; it stays as it was then.
     """
     target = Path(path)
     content = rig.model_dump(mode='json', exclude_none=True)
     text = yaml.dump(content, Dumper=_RigDumper, sort_keys=False, allow_unicode=True, width=99)
+    draft, keep = Path(), target.with_name(f'{target.name}.old')
     try:
         with tempfile.NamedTemporaryFile(
             'w', encoding='utf-8', dir=target.parent, prefix=f'.{target.name}.', delete=False
         ) as file:
             draft = Path(file.name)
-            try:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            except OSError:
-                draft.unlink()
-                raise
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
         draft.chmod(0o644)  # NamedTemporaryFile makes it private to its owner
         if target.exists():
-            keep = target.with_name(f'{target.name}.old')
-            keep.unlink(missing_ok=True)
-            keep.hardlink_to(target)
+            shutil.copy2(target, keep)
         draft.replace(target)
     except OSError as error:
+        if draft.name:
+            draft.unlink(missing_ok=True)
         msg = f'Cannot write the rig file `{path}`: {error.strerror}; choose a writable place.'
         raise ConfigError(msg) from error

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multiimu_ros.arrays import Scalars, Stamps, Vector, Vectors
+from multiimu_ros.arrays import Matrix, Scalars, Stamps, Vector, Vectors
 from multiimu_ros.compiled import compiled
 from multiimu_ros.fusion.federated import federated_step, information_shares
 from multiimu_ros.fusion.rig_model import RigModel
@@ -140,8 +140,8 @@ class ArrayFusion:
 
     def push(self, scan: Scan) -> FusedImu | None:
         """Fuse one scan; None if no IMU can be trusted in it."""
-        out, weights = fuse_scan(
-            self._model, self._state, self._motion, scan.stamp_ns,
+        out, weights = _door(
+            *self._model, *self._state, self._motion, scan.stamp_ns,
             scan.values, scan.share, scan.noise_gain,
         )  # fmt: skip
         if np.isnan(out[0, 0]):
@@ -285,3 +285,28 @@ def _align(
                 drift[axis] += b[i, axis] * step
     state.offsets[:] -= drift  # IMUs of different age or scale: keep sum b_i e_i as it is
     out[3] = np.sqrt(out[3])
+
+
+@compiled
+def _door(
+    density: Vectors,
+    bias_variance: Vectors,
+    scale_variance: Matrix,
+    lever_arms_b: Vectors,
+    fused: Vectors,
+    offsets: Vectors,
+    trust: Vectors,
+    stamps: Stamps,
+    rates: Vectors,
+    scans: Stamps,
+    period: Scalars,
+    motion: Vector,
+    stamp: int,
+    values: Vectors,
+    share: Scalars,
+    noise_gain: Scalars,
+) -> tuple[Vectors, Scalars]:
+    """Call `fuse_scan` with the arrays of its tuples, which numba would study at every call."""
+    model = RigModel(density, bias_variance, scale_variance, lever_arms_b)
+    state = _State(fused, offsets, trust, stamps, rates, scans, period)
+    return fuse_scan(model, state, motion, stamp, values, share, noise_gain)

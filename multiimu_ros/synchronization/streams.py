@@ -230,3 +230,29 @@ def _interpolate(stamps: Stamps, values: Vectors, row: Stamps, stamp: int, out: 
     for axis in range(6):
         out[axis] = a * values[earlier, axis] + b * values[before, axis] + c * values[after, axis]
     out[7] = a * a + b * b + c * c
+
+
+# numba recognises an array among its arguments at once, but must study a tuple anew at every
+# call, which takes longer than the work itself: these doors take the arrays one by one.
+
+
+@compiled
+def take_door(
+    stamps: Stamps,
+    values: Vectors,
+    table: Stamps,
+    clock: Stamps,
+    settings: Stamps,
+    maps: Matrix,
+    offsets: Stamps,
+    sample: Vector,
+    last: Vectors,
+    scan: Vectors,
+    k: int,
+    stamp: int,
+) -> int:
+    """Call `take` with the arrays of `Streams`, in its order."""
+    streams = Streams(
+        stamps, values, table, clock, settings, maps, offsets, sample, last, scan
+    )  # fmt: skip
+    return take(streams, k, stamp)

@@ -142,11 +142,11 @@ class Synchronizer:
     def push(self, stream: int, stamp_ns: int, values: Sequence[float] | Vector) -> Sequence[Scan]:
         """Take one reading (6 numbers, rate then force); return the scans that became due."""
         self._sample[:] = values
-        due_ns = s.take(self._streams, stream, stamp_ns)
+        due_ns = s.take_door(*self._streams, stream, stamp_ns)
         if due_ns == s.JUMPED:
             self.time_jumps += 1
             self.restart()
-            due_ns = s.take(self._streams, stream, stamp_ns)
+            due_ns = s.take_door(*self._streams, stream, stamp_ns)
         if due_ns < 0:
             return NO_SCANS
         scans: list[Scan] = []
