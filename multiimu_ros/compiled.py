@@ -28,4 +28,4 @@ def compiled(function: Callable[P, T]) -> Callable[P, T]:
     """Compile `function` with numba where that is possible, else return it unchanged."""
     if not COMPILED:
         return function
-    return numba.njit(cache=True)(function)  # type: ignore[no-any-return]
+    return numba.njit(cache=True, error_model='numpy')(function)  # type: ignore[no-any-return]

@@ -41,6 +41,7 @@ MOTION = {
     'foot': ArrayFusionConfig(angular_acceleration_sigma=300.0, jerk_sigma=5000.0),
     'vehicle': ArrayFusionConfig(angular_acceleration_sigma=10.0, jerk_sigma=100.0),
 }
+NO_FRAMES: tuple[FusedFrame, ...] = ()  # what nearly every push returns
 FIRST_STEP = 0.005  # [s] stands in for the time since a sample that was never there
 
 
@@ -138,7 +139,9 @@ class Pipeline:
         """Start anew, as after construction."""
         self._build()
 
-    def push(self, imu: int, stamp_ns: int, values: Sequence[float] | Vector) -> list[FusedFrame]:
+    def push(
+        self, imu: int, stamp_ns: int, values: Sequence[float] | Vector
+    ) -> Sequence[FusedFrame]:
         """Take one reading; return the frames that became due, usually none or one.
 
         Parameters
@@ -151,6 +154,8 @@ class Pipeline:
             Angular rate [rad/s], then specific force [m/s^2], as `PipelineConfig.input` says.
         """
         scans = self._synchronizer.push(imu, stamp_ns, values)
+        if not scans:
+            return NO_FRAMES
         return [frame for scan in scans if (frame := self._step(scan)) is not None]
 
     def _step(self, scan: Scan) -> FusedFrame | None:

@@ -116,7 +116,6 @@ class ArrayFusion:
     """
 
     def __init__(self, model: RigModel, config: ArrayFusionConfig) -> None:
-        self._model = model
         self._motion = np.repeat([config.angular_acceleration_sigma, config.jerk_sigma], 3)
         count = len(model.density)
         self._state = _State(
@@ -124,6 +123,7 @@ class ArrayFusion:
             np.zeros(HISTORY, np.int64), np.zeros((HISTORY, 3)), np.zeros(1, np.int64),
             np.zeros(1),
         )  # fmt: skip
+        self._memory = (*model, *self._state)
         self.restart()
 
     def restart(self) -> None:
@@ -141,7 +141,7 @@ class ArrayFusion:
     def push(self, scan: Scan) -> FusedImu | None:
         """Fuse one scan; None if no IMU can be trusted in it."""
         out, weights = _door(
-            *self._model, *self._state, self._motion, scan.stamp_ns,
+            *self._memory, self._motion, scan.stamp_ns,
             scan.values, scan.share, scan.noise_gain,
         )  # fmt: skip
         if np.isnan(out[0, 0]):

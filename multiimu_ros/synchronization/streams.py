@@ -112,11 +112,15 @@ def _mapped(row: Vector, sample: Vector) -> float:
 def _is_sound(streams: Streams, k: int) -> bool:
     """Refuse NaN and frozen readings, count them, and remember the fault."""
     row, table = streams.table[k], streams.table
-    if not np.isfinite(streams.sample).all():
-        row[INVALID] += 1
-        row[FAULT] = IS_INVALID
-        return False
-    if row[WRITTEN] == 0 or (streams.last[k] != streams.sample).any():
+    changed = row[WRITTEN] == 0
+    for axis in range(6):
+        reading = streams.sample[axis]
+        if not np.isfinite(reading):
+            row[INVALID] += 1
+            row[FAULT] = IS_INVALID
+            return False
+        changed = changed or reading != streams.last[k, axis]
+    if changed:
         streams.last[k] = streams.sample
         row[REPEATED] = 0
         return True
