@@ -38,6 +38,7 @@ def show(console: Console, title: str, rows: Sequence[dict[str, object]]) -> Non
 def main() -> int:
     options = parse()
     console = Console(stderr=options.json)
+    console.width = max(console.width, 110)
     loaded = options.load is not None or options.rate or options.arrangement
     parts = options.only or (['live'] if loaded else PARTS)
     result = {}
@@ -57,7 +58,7 @@ def main() -> int:
                 result['live'].append(
                     live.run(arrangement, rate, options.load or 10.0, Path(folder))
                 )
-        title = 'Live: latency and one plain hop, p50 / p99 [ms]; CPU [% of a core]; late [ms]'
+        title = 'Live: latency and one plain hop, p50 / p99 (ms); CPU (% of a core); late (ms)'
         show(console, title, [live.cells(row) for row in result['live']])
     if 'startup' in parts:
         with console.status('timing start-up'):

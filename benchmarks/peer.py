@@ -44,14 +44,14 @@ def publish(node: Node, folder: Path, rate: float, seconds: float) -> None:
     readings = [[reading(values) for values in scan] for scan in noise]
     count = round((WARM_UP + seconds) * rate)
     sent = np.empty((count, 2), np.int64)  # stamp, instant of the last message's publication
-    begin, late = time.monotonic_ns(), 0.0
+    begin, wall, late = time.monotonic_ns(), time.time_ns(), 0.0
     for n in range(count):
         due = begin + round(n * 1e9 / rate)
         wait = (due - time.monotonic_ns()) * 1e-9
         late = max(late, -wait)
         if wait > 0:
             time.sleep(wait)
-        stamp = time.time_ns()
+        stamp = wall + due - begin  # of the schedule, as a device's clock has it
         for sender, encoder, numbers in zip(senders, encoders, readings[n % 1000], strict=True):
             sender.publish(encoder.encode(stamp, numbers))
         sent[n] = stamp, time.time_ns()
