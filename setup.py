@@ -51,8 +51,7 @@ setup(
     entry_points={
         'console_scripts': [
             f'multiimu = {NAME}.cli.app:main',
-            f'emulator = {NAME}.cli.emulator:main',
-            *(f'{node} = {NAME}.nodes.{node}:main' for node in NODES),
+            *(f'{name} = {NAME}.cli.executables:main' for name in ('emulator', *NODES)),
         ]
     },
 )

@@ -4,7 +4,6 @@ import argparse
 from array import array
 from collections.abc import Sequence
 from functools import partial
-import signal
 import sys
 from threading import Event, Thread
 import time
@@ -81,8 +80,7 @@ class PlayNode(Node):
         for output in self._outputs.values():
             output.wait_for_all_acked(Duration(seconds=1))
         self.get_logger().info(self._report(seconds))
-        if not self._stop.is_set():
-            signal.raise_signal(signal.SIGTERM)  # the way to end `run` from within
+        self.context.try_shutdown()
 
     def _publish_in_time(self) -> None:
         begin, first_ns = 0.0, -1

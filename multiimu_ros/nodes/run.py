@@ -2,17 +2,19 @@
 
 rclpy's own signal handlers invalidate the context first, so that a node's last message fails and
 a second signal interrupts its destruction.  Here a signal only ends the loop; the node is then
-destroyed while its context still lives.  The events executor is the fast one, but never wakes
-when it is spun without a timeout; the single-threaded one stands in where rclpy has no other.
+destroyed while its context still lives, and signals that come later are ignored.  The events
+executor is the fast one, but never wakes when it is spun without a timeout; the single-threaded
+one stands in where rclpy has no other.
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 import gc
 import signal
 import sys
 
 import rclpy
-from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
@@ -24,6 +26,7 @@ try:
 except ImportError:  # an rclpy older than Jazzy's
     EventsExecutor = None
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 WAKE_S = 0.1  # how often the loop looks whether it was asked to stop
 
 
@@ -32,11 +35,12 @@ def spin(node: Node, stop: Future) -> None:
     executor: Executor = EventsExecutor() if EventsExecutor else SingleThreadedExecutor()
     executor.add_node(node)
     gc.freeze()  # else a full collection stalls the node for as long as 30 messages last
-    while rclpy.ok() and not stop.done():
-        if EventsExecutor:
-            executor.spin_until_future_complete(stop, timeout_sec=WAKE_S)
-        else:  # here spin_until_future_complete would leave a task behind at every turn
-            executor.spin_once(timeout_sec=WAKE_S)
+    with suppress(ExternalShutdownException):
+        while rclpy.ok() and not stop.done():
+            if EventsExecutor:
+                executor.spin_until_future_complete(stop, timeout_sec=WAKE_S)
+            else:  # here spin_until_future_complete would leave a task behind at every turn
+                executor.spin_once(timeout_sec=WAKE_S)
     executor.shutdown()
 
 
@@ -65,7 +69,7 @@ def run(make_node: Callable[[], Node]) -> int:
         meets an error that only its user can mend.
     """
     stop = Future()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         signal.signal(number, lambda *_: stop.set_result(None))
     node = None
     try:
@@ -79,4 +83,6 @@ def run(make_node: Callable[[], Node]) -> int:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+        for number in SIGNALS:  # Python, on its way out, would die of a second Ctrl-C
+            signal.signal(number, signal.SIG_IGN)
     return 0
