@@ -3,28 +3,18 @@
 Per scan: the federated filter fuses the rates; their slope is the angular acceleration; the lever
 arms are taken out of the forces; the federated filter fuses those.
 
-Alignment.  What two IMUs disagree on at all times is a difference of their biases.  Each IMU
-therefore carries an offset e_i, the slow mean of z_i - fused, which is subtracted before fusion.
-As sum b_i e_i = 0 the fused value is that of the plain weighted mean; but when an IMU leaves or
-returns, nothing moves, for the others already agree with it.  The common bias, which no array can
-see, is left to the rest updates of the attitude filter.
+Alignment keeps the fused values where they are when an IMU leaves or returns; see `fuse_scan`.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from multiimu_ros.arrays import Matrix, Scalars, Stamps, Vector, Vectors
-from multiimu_ros.compiled import compiled
-from multiimu_ros.fusion.federated import federated_step, information_shares
+from multiimu_ros.arrays import Scalars, Vector, Vectors
+from multiimu_ros.fusion.fuse_scan import fuse_scan_door, FusionState
 from multiimu_ros.fusion.rig_model import RigModel
-from multiimu_ros.fusion.rigid_body import HISTORY, lever_arm_matrix, push_slope
+from multiimu_ros.fusion.rigid_body import HISTORY
 from multiimu_ros.synchronization.synchronizer import Scan
-
-ALIGNMENT_TIME = 2.0  # [s] long against vibration, short against a warming sensor's drift
-STARTING_PERIOD = 0.005  # [s] believed for the first two scans only
-PERIOD_MEMORY = 64  # scans that the running mean of the period looks back
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,18 +82,6 @@ class FusedImu:
         return row
 
 
-class _State(NamedTuple):
-    """What the fusion stage remembers between scans; arrays, changed in place."""
-
-    fused: Vectors  # (2, 6): values and variance
-    offsets: Vectors  # (K, 6): e_i
-    trust: Vectors  # (2, K): scans averaged into each offset; share in the last scan
-    stamps: Stamps  # (HISTORY,) of the fused rates, for their slope
-    rates: Vectors  # (HISTORY, 3)
-    scans: Stamps  # (1,): how many of them are valid
-    period: Scalars  # (1,): mean time between scans [s]
-
-
 class ArrayFusion:
     """The fusion stage on a live stream of scans.
 
@@ -118,7 +96,7 @@ class ArrayFusion:
     def __init__(self, model: RigModel, config: ArrayFusionConfig) -> None:
         self._motion = np.repeat([config.angular_acceleration_sigma, config.jerk_sigma], 3)
         count = len(model.density)
-        self._state = _State(
+        self._state = FusionState(
             np.zeros((2, 6)), np.zeros((count, 6)), np.zeros((2, count)),
             np.zeros(HISTORY, np.int64), np.zeros((HISTORY, 3)), np.zeros(1, np.int64),
             np.zeros(1),
@@ -140,173 +118,10 @@ class ArrayFusion:
 
     def push(self, scan: Scan) -> FusedImu | None:
         """Fuse one scan; None if no IMU can be trusted in it."""
-        out, weights = _door(
+        out, weights = fuse_scan_door(
             *self._memory, self._motion, scan.stamp_ns,
             scan.values, scan.share, scan.noise_gain,
         )  # fmt: skip
         if np.isnan(out[0, 0]):
             return None
         return FusedImu(scan.stamp_ns, out, weights)
-
-
-@compiled
-def fuse_scan(
-    model: RigModel,
-    state: _State,
-    motion: Vector,
-    stamp: int,
-    values: Vectors,
-    share: Scalars,
-    noise_gain: Scalars,
-) -> tuple[Vectors, Scalars]:
-    """Fuse one scan; the state moves on in place.
-
-    Returns
-    -------
-    (4, 6) array
-        Fused values, their variance, prior variance of the common bias, noise density; NaN if
-        no IMU can be trusted.
-    (K,) array
-        Mean share of each IMU in the fused rate.
-    """
-    dt = _follow_time(state, stamp)
-    R = _noise_of_one_scan(model.density, values, share, state.period[0])
-    b = information_shares(R)
-    Q = (motion * dt) ** 2
-    z = values - state.offsets
-    known, variance = state.fused
-    rate, P = federated_step(known[:3], variance[:3], z[:, :3], R[:, :3], Q[:3], b[:, :3])
-    known[:3], variance[:3] = rate, P
-    acceleration, gain = push_slope(state.stamps, state.rates, state.scans, stamp, rate)
-    L = lever_arm_matrix(rate, acceleration)
-    mean_arm = np.zeros(3)
-    for i in range(len(z)):
-        arm = model.lever_arms_b[i]
-        for row in range(3):
-            z[i, 3 + row] -= L[row, 0] * arm[0] + L[row, 1] * arm[1] + L[row, 2] * arm[2]
-            mean_arm[row] += b[i, 3 + row] * arm[row]
-    known[3:], variance[3:] = federated_step(
-        known[3:], variance[3:], z[:, 3:], R[:, 3:], Q[3:], b[:, 3:]
-    )
-    out = np.zeros((4, 6))
-    out[0], out[1] = known, variance * _interpolation_gain(b, R, noise_gain)
-    if np.isfinite(gain):  # a x r errs with the variance of the angular acceleration
-        out[1, 3:] += gain * P.max() * (mean_arm * mean_arm).sum()
-    _align(model, state, z, b, dt, share, out)
-    weights = (b[:, 0] + b[:, 1] + b[:, 2]) / 3.0
-    if not weights.any():
-        out[:] = np.nan
-    state.trust[1] = share
-    return out, weights
-
-
-@compiled
-def _follow_time(state: _State, stamp: int) -> float:
-    """Return the time since the last scan [s], and follow the mean period."""
-    if state.scans[0] == 0:
-        return STARTING_PERIOD
-    dt = (stamp - state.stamps[-1]) * 1e-9
-    if state.period[0] == 0.0:
-        state.period[0] = dt
-    # A hole in the stream is no change of rate: it counts as ten periods at most.
-    state.period[0] += (min(dt, 10.0 * state.period[0]) - state.period[0]) / PERIOD_MEMORY
-    return float(dt)
-
-
-@compiled
-def _noise_of_one_scan(
-    density: Vectors, values: Vectors, share: Scalars, period: float
-) -> Vectors:
-    """Return R (K, 6) = density^2 / period; infinite without a reading, larger on probation."""
-    R = np.full_like(density, np.inf)
-    interval = period if period > 0.0 else STARTING_PERIOD
-    for i in range(len(R)):
-        if share[i] > 0.0 and not np.isnan(values[i, 0]):
-            R[i] = density[i] ** 2 / (interval * share[i])
-    return R
-
-
-@compiled
-def _interpolation_gain(b: Vectors, R: Vectors, noise_gain: Scalars) -> Vector:
-    """Return the variance (6,) of the weighted mean per that of the mean of samples.
-
-    Interpolation averages neighbouring samples, which lowers the variance of one scan, but not
-    the information: what it takes out of one scan it shares with the next.  So the weights keep
-    R, and only the stated variance is lowered.
-    """
-    gain = np.ones(6)
-    for axis in range(6):
-        total, lowered = 0.0, 0.0
-        for i in range(len(b)):
-            if b[i, axis] > 0.0:
-                part = b[i, axis] ** 2 * R[i, axis]
-                total += part
-                lowered += part * noise_gain[i]
-        if total > 0.0:
-            gain[axis] = lowered / total
-    return gain
-
-
-@compiled
-def _align(
-    model: RigModel, state: _State, z: Vectors, b: Vectors, dt: float, share: Scalars, out: Vectors
-) -> None:
-    """Move the offsets towards what each IMU shows beside the rest; add up what stays unknown.
-
-    A disagreement in motion is partly one of scale, so it moves the offset by the part of its
-    variance that is the bias's.
-    """
-    square = out[0] ** 2
-    mean, drift = np.zeros(6), np.zeros(6)
-    for i in range(len(z)):
-        for axis in range(6):
-            if b[i, axis] > 0.0:
-                mean[axis] += b[i, axis] * z[i, axis]
-    for i in range(len(z)):
-        if np.isnan(z[i, 0]):
-            continue
-        if share[i] == 0.0 and state.trust[1, i] > 0.0:
-            state.trust[0, i] = 0.0  # back from an outage, perhaps with another bias
-        state.trust[0, i] += 1.0
-        gain = max(min(dt / ALIGNMENT_TIME, 1.0), 1.0 / state.trust[0, i])
-        for axis in range(6):
-            block = 3 * (axis // 3)
-            from_scale = 0.0
-            for other in range(block, block + 3):
-                from_scale += model.scale_variance[i, axis, other] * square[other]
-            bias = model.bias_variance[i, axis]
-            part = b[i, axis] ** 2
-            out[1, axis] += part * from_scale
-            out[2, axis] += part * bias
-            out[3, axis] += part * model.density[i, axis] ** 2
-            if bias > 0.0:
-                step = gain * bias / (bias + from_scale) * (z[i, axis] - mean[axis])
-                state.offsets[i, axis] += step
-                drift[axis] += b[i, axis] * step
-    state.offsets[:] -= drift  # IMUs of different age or scale: keep sum b_i e_i as it is
-    out[3] = np.sqrt(out[3])
-
-
-@compiled
-def _door(
-    density: Vectors,
-    bias_variance: Vectors,
-    scale_variance: Matrix,
-    lever_arms_b: Vectors,
-    fused: Vectors,
-    offsets: Vectors,
-    trust: Vectors,
-    stamps: Stamps,
-    rates: Vectors,
-    scans: Stamps,
-    period: Scalars,
-    motion: Vector,
-    stamp: int,
-    values: Vectors,
-    share: Scalars,
-    noise_gain: Scalars,
-) -> tuple[Vectors, Scalars]:
-    """Call `fuse_scan` with the arrays of its tuples, which numba would study at every call."""
-    model = RigModel(density, bias_variance, scale_variance, lever_arms_b)
-    state = _State(fused, offsets, trust, stamps, rates, scans, period)
-    return fuse_scan(model, state, motion, stamp, values, share, noise_gain)
