@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -53,3 +54,25 @@ def test_off_returns_the_function_itself():
 @pytest.mark.skipif(not compiled.COMPILED, reason='the switch is off in this run')
 def test_on_returns_a_dispatcher_that_keeps_the_plain_function():
     assert compiled.compiled(probe).py_func is probe
+
+
+def test_a_change_of_any_kernel_gives_another_cache_and_one_elsewhere_does_not(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+    package = tmp_path / 'package'
+    package.mkdir()
+    (package / 'kernel.py').write_text('@compiled\ndef one(): return 1\n')
+    (package / 'door.py').write_text('one()\n')
+    before = compiled.cache_folder(package)
+    (package / 'door.py').write_text('one() + one()\n')
+    assert compiled.cache_folder(package) == before
+    (package / 'kernel.py').write_text('@compiled\ndef one(): return 2\n')
+    assert compiled.cache_folder(package) != before
+    assert before.is_dir()
+
+
+def test_where_the_home_cannot_be_written_the_cache_is_temporary(tmp_path, monkeypatch):
+    (tmp_path / 'file').write_text('no folder')
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'file'))
+    assert compiled.cache_folder(tmp_path).is_relative_to(tempfile.gettempdir())
