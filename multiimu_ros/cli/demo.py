@@ -16,7 +16,17 @@ from rich.table import Table
 from rich.text import Text
 import typer
 
-from multiimu_ros.cli.demo_live import carry, domain_id, Glance, IMUS, live, LiveRun, NODES, RATE
+from multiimu_ros.cli.demo_live import (
+    carry,
+    compile_filters,
+    domain_id,
+    Glance,
+    IMUS,
+    live,
+    LiveRun,
+    NODES,
+    RATE,
+)
 from multiimu_ros.cli.demo_report import Outcome, write_report
 from multiimu_ros.cli.options import AsJson, print_json
 from multiimu_ros.pipeline import ProfileName
@@ -46,7 +56,7 @@ def demo(
     keep: Annotated[
         bool, typer.Option('--keep', help='Keep bag, rig file, truth and logs there, too.')
     ] = False,
-    seed: Annotated[int, typer.Option(help='Draws the IMUs, their noise and the motion.')] = 0,
+    seed: Annotated[int, typer.Option(help='Draws the IMUs, their noise and the motion.')] = 1,
     as_machine: AsJson = False,
 ) -> None:
     """Carry an emulated board of 8 IMUs about, fuse it live, and hold the result against truth.
@@ -95,6 +105,8 @@ def _run_live(run: LiveRun, console: Console) -> dict[str, Any]:
         f'[bold]{IMUS} emulated BMI160[/] in a ring of 16 cm, {RATE} Hz each, '
         f'{run.duration:g} s of the motion [bold]{run.motion}[/]'
     )
+    with console.status('compiling the filters, once on this machine'):
+        compile_filters()
     begin = time.monotonic()
     with ExitStack() as stack:
         with console.status('starting the board and the nodes'):

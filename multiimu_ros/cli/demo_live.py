@@ -1,6 +1,7 @@
 """The live part of `multiimu demo`: board, nodes and recorder as processes, and a line about them.
 
-Everything starts before the driver opens the port, for that is when the motion begins.
+The motion begins when the port is first opened.  So the driver gets a path that leads nowhere
+until all processes have found each other; then the board is plugged in.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,16 +15,20 @@ import time
 from types import FrameType
 from typing import Any
 
+from multiimu_ros.arrays import NANOSECONDS
 from multiimu_ros.cli.children import Children
 from multiimu_ros.errors import MultiImuError
+from multiimu_ros.pipeline import Pipeline, PipelineConfig
 from multiimu_ros.rig import save_rig
 from multiimu_ros.simulation.placements import ring
 
 IMUS = 8
 RATE = 200  # [Hz]
-START_PATIENCE = 60.0  # [s] the first start on a machine compiles the filters
+PERIOD_NS = NANOSECONDS // RATE
+START_PATIENCE = 60.0  # [s] a dozen times what it takes
 LAST_MESSAGES = 0.5  # [s]
 LOOK = 0.1  # [s]
+PLUG = 'plugged'  # where the driver looks for the port
 STAGES = ('calibration', 'registration', 'fusion')
 NODES = ('driver', *STAGES)
 
@@ -81,6 +86,14 @@ def domain_id() -> str:
     return os.environ.get('ROS_DOMAIN_ID', str(1 + os.getpid() % 100))
 
 
+def compile_filters() -> None:
+    """Push three scans through a pipeline, so that the nodes find the compiled filters cached."""
+    pipeline = Pipeline(ring(IMUS), PipelineConfig())
+    for n in range(3):
+        for k in range(IMUS):
+            pipeline.push(k, n * PERIOD_NS, [1e-3 * n, 0.0, 0.0, 0.0, 0.0, 9.81])
+
+
 @contextmanager
 def interruptible() -> Iterator[None]:
     """Turn SIGTERM into the exception of Ctrl-C, so that either ends the children."""
@@ -118,7 +131,7 @@ def _start_board(run: LiveRun, children: Children) -> None:
 
 
 def _start_graph(run: LiveRun, children: Children) -> None:
-    """Start all nodes but the driver, and wait until they listen."""
+    """Start all nodes, and wait until they have found each other."""
     parameter = ['--ros-args', '-p', f'rig_file:={run.rig}']
     for name in STAGES:
         extra = ['-p', f'profile:={run.profile}'] if name == 'fusion' else []
@@ -126,7 +139,14 @@ def _start_graph(run: LiveRun, children: Children) -> None:
     topics = [f'imu{k}/data_raw' for k in range(IMUS)] + ['imu/data', 'odom', 'zero_velocity']
     children.start('record', 'multiimu_ros.nodes.record', [*topics, '-o', str(run.bag)])
     children.start('monitor', 'multiimu_ros.nodes.monitor', [])
-    _wait(children, lambda: last_line(children).get('ready', False), 'graph')
+    port = ['--ros-args', '-p', f'port:={run.folder / PLUG}']
+    children.start('driver', 'multiimu_ros.nodes.driver', port)
+    _wait(children, lambda: _ready(last_line(children)), 'graph')
+
+
+def _ready(line: dict[str, Any]) -> bool:
+    """Say whether every node listens, and the driver is heard."""
+    return bool(line.get('ready')) and 'driver: board' in line['figures']
 
 
 def last_line(children: Children) -> dict[str, Any]:
@@ -151,10 +171,8 @@ def _wait(children: Children, done: Callable[[], bool], what: str) -> None:
 
 
 def carry(run: LiveRun, children: Children) -> Iterator[Glance]:
-    """Let the driver open the port, and yield a glance every moment until the motion is over."""
-    port = run.folder / 'port'
-    arguments = ['--ros-args', '-p', f'port:={port}']
-    children.start('driver', 'multiimu_ros.nodes.driver', arguments)
+    """Plug the board in, and yield a glance every moment until the motion is over."""
+    (run.folder / PLUG).symlink_to(run.folder / 'port')
     begin = time.monotonic()
     while children.running('emulator'):
         if run.truth.exists():
