@@ -9,7 +9,7 @@ import numpy as np
 from multiimu_ros.arrays import Matrix, Scalars, Vector, Vectors
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.error_state import pose_covariance, twist_covariance
-from multiimu_ros.rotations import as_quaternion
+from multiimu_ros.rotations import as_quaternion, product
 
 RATE, FORCE, ORIENTATION, POSITION, ODOM_ORIENTATION, VELOCITY = 0, 3, 6, 10, 13, 17
 RATE_P, FORCE_P, ORIENTATION_P, POSE_P, TWIST_P, SIZE = 20, 29, 38, 47, 83, 119
@@ -123,10 +123,7 @@ def write_record(
         record[RATE_P + 4 * i] += fused[1, i]
         record[FORCE_P + 4 * i] = fused[1, 3 + i] + fused[2, 3 + i]
     record[VELOCITY:RATE_P] = velocity
-    attitude = P[:3, :3].copy()
-    record[ORIENTATION_P:POSE_P] = (R @ attitude @ R.T).ravel()
+    record[ORIENTATION_P:POSE_P] = product(product(R, P[:3, :3]), R.T).ravel()
     record[POSE_P:TWIST_P] = pose_covariance(R_odom, P_odom).ravel()
-    record[TWIST_P:SIZE] = twist_covariance(
-        R_odom, x[3:6].copy(), P_odom, fused[1, :3].copy()
-    ).ravel()
+    record[TWIST_P:SIZE] = twist_covariance(R_odom, x[3:6], P_odom, fused[1, :3]).ravel()
     return record

@@ -44,11 +44,22 @@ def skew(v: Vector) -> Matrix:
 
 
 @compiled
+def product(A: Matrix, B: Matrix) -> Matrix:
+    """Return A @ B for small matrices of any layout; for these the sums are quicker than BLAS."""
+    C = np.zeros((A.shape[0], B.shape[1]))
+    for i in range(A.shape[0]):
+        for k in range(A.shape[1]):
+            for j in range(B.shape[1]):
+                C[i, j] += A[i, k] * B[k, j]
+    return C
+
+
+@compiled
 def exp_so3(theta: Vector) -> Matrix:
     """Return the (3, 3) rotation by the rotation vector `theta` (3,) [rad]."""
     a, b, _ = _coefficients(np.sqrt(theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2))
     S = skew(theta)
-    return np.eye(3) + a * S + b * (S @ S)
+    return np.eye(3) + a * S + b * product(S, S)
 
 
 @compiled
@@ -72,13 +83,13 @@ def right_jacobian(theta: Vector) -> Matrix:
     """Return J (3, 3) with exp(theta + d) = exp(theta) exp(J d) to first order in d."""
     _, b, c = _coefficients(np.sqrt(theta[0] ** 2 + theta[1] ** 2 + theta[2] ** 2))
     S = skew(theta)
-    return np.eye(3) - b * S + c * (S @ S)
+    return np.eye(3) - b * S + c * product(S, S)
 
 
 @compiled
 def renormalise(R: Matrix) -> Matrix:
     """Return the nearest rotation to first order; `R` (3, 3) is orthogonal but for rounding."""
-    return 1.5 * R - 0.5 * (R @ (R.T @ R))
+    return 1.5 * R - 0.5 * product(R, product(R.T, R))
 
 
 @compiled

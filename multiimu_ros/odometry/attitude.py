@@ -27,7 +27,7 @@ from multiimu_ros.odometry.kalman import (
 )
 from multiimu_ros.odometry.rest import finite, RestBuffer, Sample
 from multiimu_ros.odometry.strapdown import cross, curvature
-from multiimu_ros.rotations import exp_so3, renormalise, right_jacobian, skew
+from multiimu_ros.rotations import exp_so3, product, renormalise, right_jacobian, skew
 
 GAP = 0.05  # [s] longer steps hide motion: 20 Hz is the slowest IMU that we call one
 RADIAL_TIME = 1.0  # [s] memory of how strongly the rig accelerates
@@ -114,7 +114,7 @@ def _gravity_update(
 @compiled
 def _inject(R: Matrix, bias: Vector, error: Vector, P: Matrix) -> None:
     """Move the estimated error into the state (attitude.md (8))."""
-    R[:] = renormalise(R @ exp_so3(error[:3]))
+    R[:] = renormalise(product(R, exp_so3(error[:3])))
     bias += error[3:6]
     transform_block(P, right_jacobian(error[:3]), 0)
 
@@ -148,7 +148,7 @@ def _propagate(
         P[i, 3 + i] -= walk[i] * dt**2 / 2.0
         P[3 + i, i] -= walk[i] * dt**2 / 2.0
         P[3 + i, 3 + i] += walk[i] * dt
-    R[:] = renormalise(R @ exp_so3(phi))
+    R[:] = renormalise(product(R, exp_so3(phi)))
 
 
 @compiled

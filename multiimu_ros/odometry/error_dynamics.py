@@ -17,7 +17,7 @@ from multiimu_ros.odometry.kalman import (
     white_equivalent,
 )
 from multiimu_ros.odometry.strapdown import curvature, increments
-from multiimu_ros.rotations import exp_so3, renormalise, right_jacobian, skew
+from multiimu_ros.rotations import exp_so3, product, renormalise, right_jacobian, skew
 
 CREDIBLE_SQUARE = 16.0  # 4 sigma; beyond it a swinging foot that looks still for a moment
 CONFIRMED = 0.1  # [s] no swing looks still for longer, but a running stance does
@@ -40,12 +40,12 @@ def transition(R: Matrix, phi: Vector, dv: Vector, dp: Vector, dt: float) -> Mat
     turn = skew(phi)
     for i in range(3):
         F[i, 3 + i] = dt
-    F[0:3, 6:9] = -(R @ skew(dp))
-    F[0:3, 9:12] = dt * dt / 6.0 * (R @ skew(dv))
-    F[0:3, 12:15] = -0.5 * dt * dt * (R + (R @ turn) / 3.0)
-    F[3:6, 6:9] = -(R @ skew(dv))
-    F[3:6, 9:12] = 0.5 * dt * (R @ skew(dv))
-    F[3:6, 12:15] = -dt * (R @ right_jacobian(-phi))
+    F[0:3, 6:9] = -product(R, skew(dp))
+    F[0:3, 9:12] = dt * dt / 6.0 * product(R, skew(dv))
+    F[0:3, 12:15] = -0.5 * dt * dt * (R + product(R, turn) / 3.0)
+    F[3:6, 6:9] = -product(R, skew(dv))
+    F[3:6, 9:12] = 0.5 * dt * product(R, skew(dv))
+    F[3:6, 12:15] = -dt * product(R, right_jacobian(-phi))
     F[6:9, 6:9] = exp_so3(-phi)
     F[6:9, 9:12] = -dt * right_jacobian(phi)
     return F
@@ -94,7 +94,7 @@ def _move(
     x[3:6] += R @ dv
     x[2] -= 0.5 * gravity * dt * dt
     x[5] -= gravity * dt
-    R[:] = renormalise(R @ exp_so3(phi))
+    R[:] = renormalise(product(R, exp_so3(phi)))
 
 
 @compiled
@@ -125,7 +125,7 @@ def _inject(x: Vector, R: Matrix, P: Matrix, error: Vector) -> None:
     """Move the estimated error into the state (error_state.md (8))."""
     x += error
     x[6:9] = 0.0
-    R[:] = renormalise(R @ exp_so3(error[6:9]))
+    R[:] = renormalise(product(R, exp_so3(error[6:9])))
     transform_block(P, right_jacobian(error[6:9]), 6)
 
 

@@ -22,7 +22,7 @@ from multiimu_ros.arrays import as_vector, Matrix, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.error_dynamics import align, step
 from multiimu_ros.odometry.rest import finite, RestBuffer, Sample
-from multiimu_ros.rotations import skew
+from multiimu_ros.rotations import product, skew
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,10 +248,12 @@ def pose_covariance(R_nb: Matrix, P: Matrix) -> Matrix:
     P : (15, 15) array
         Covariance of the error state; its attitude error is in the body frame.
     """
-    J = np.zeros((6, 15))
-    J[:3, :3] = np.eye(3)
-    J[3:, 6:9] = R_nb  # R exp(theta) = exp(R theta) R
-    covariance: Matrix = J @ P @ J.T
+    covariance = np.empty((6, 6))
+    covariance[:3, :3] = P[:3, :3]
+    # R exp(theta) = exp(R theta) R: the error about fixed axes is R theta.
+    covariance[:3, 3:] = product(P[:3, 6:9], R_nb.T)
+    covariance[3:, :3] = covariance[:3, 3:].T
+    covariance[3:, 3:] = product(product(R_nb, P[6:9, 6:9]), R_nb.T)
     return covariance
 
 
@@ -270,10 +272,16 @@ def twist_covariance(R_nb: Matrix, velocity_n: Vector, P: Matrix, rate_variance:
     rate_variance : (3,) array
         White noise of the published rate [rad^2/s^2].
     """
-    J = np.zeros((6, 15))
-    J[:3, 3:6] = R_nb.T
-    J[:3, 6:9] = skew(R_nb.T @ velocity_n)  # exp(-theta) v = v + v x theta
-    J[3:, 9:12] = -np.eye(3)
-    covariance: Matrix = J @ P @ J.T
-    covariance[3:, 3:] += np.diag(rate_variance)
+    turned = R_nb.T
+    # exp(-theta) v = v + v x theta: velocity error in the body frame is R' dv + [v]x theta.
+    tilt = skew(product(turned, velocity_n.reshape(3, 1)).ravel())
+    to_velocity = product(turned, P[3:6, 3:6]) + product(tilt, P[6:9, 3:6])
+    to_tilt = product(turned, P[3:6, 6:9]) + product(tilt, P[6:9, 6:9])
+    covariance = np.empty((6, 6))
+    covariance[:3, :3] = product(to_velocity, R_nb) + product(to_tilt, tilt.T)
+    covariance[:3, 3:] = -product(turned, P[3:6, 9:12]) - product(tilt, P[6:9, 9:12])
+    covariance[3:, :3] = covariance[:3, 3:].T
+    covariance[3:, 3:] = P[9:12, 9:12]
+    for axis in range(3):
+        covariance[3 + axis, 3 + axis] += rate_variance[axis]
     return covariance
