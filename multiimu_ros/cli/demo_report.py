@@ -13,6 +13,7 @@ from multiimu_ros.report.page import facts, notes, picture, score_table, write_p
 from multiimu_ros.report.recorded import Recorded
 from multiimu_ros.report.scores import not_won
 from multiimu_ros.report.tracks import Track
+from multiimu_ros.report.truth import MAX_SCATTER
 from multiimu_ros.rig import Rig
 
 CLOSE_UP = 10.0  # [s] of error that the eye can still resolve
@@ -79,9 +80,16 @@ class Outcome:
             'lateness_sigma_s': self.comparison.lateness.sigma,
         }
 
+    @property
+    def lateness(self) -> str:
+        """Say by how much the stamps are late, if the motion was able to show it."""
+        late = self.comparison.lateness
+        if late.sigma > MAX_SCATTER:
+            return 'this motion cannot show it, and nothing is taken out'
+        return f'{1e3 * late.seconds:.3f} ± {1e3 * late.sigma:.3f} ms, taken out'
+
     def footnote(self) -> str:
         """Return what the table needs to be understood."""
-        late = self.comparison.lateness
         figures = self.figures()
         return (
             f'Rate and force are per axis, attitude is the angle, position the distance, from '
@@ -90,7 +98,7 @@ class Outcome:
             f'√{len(self.rig.imus)}: its noise for rate and force, its error for attitude and '
             f'position. Scans without a fused message: {self.unfused}. Age on arrival: '
             f'{1e3 * figures["age_p50_s"]:.1f} ms (p99 {1e3 * figures["age_p99_s"]:.1f} ms). '
-            f'The stamps are late by {1e3 * late.seconds:.3f} ms, which is taken out.'
+            f'Lateness of the stamps: {self.lateness}.'
         )
 
     def cpu(self) -> dict[str, float]:
@@ -141,7 +149,7 @@ def _lead(outcome: Outcome) -> str:
 
 
 def _facts(outcome: Outcome) -> dict[str, str]:
-    figures, late = outcome.figures(), outcome.comparison.lateness
+    figures = outcome.figures()
     loads = outcome.cpu()
     shown = {f'{name}, % of a core': f'{load:.0f}' for name, load in loads.items()}
     return {
@@ -150,7 +158,6 @@ def _facts(outcome: Outcome) -> dict[str, str]:
         'age on arrival, p50 / p99': f'{1e3 * figures["age_p50_s"]:.1f} / '
         f'{1e3 * figures["age_p99_s"]:.1f} ms',
         'the replayed bag differs by': f'{outcome.replay_difference:.0e}',
-        'stamps late by (taken out)': f'{1e3 * late.seconds:.3f} ms',
         **shown,
     }
 
@@ -224,7 +231,6 @@ def _densities(rig: Rig) -> tuple[float, float]:
 
 
 def _notes(outcome: Outcome) -> list[str]:
-    late = outcome.comparison.lateness
     return [
         (
             'The IMUs are drawn from the BMI160 data sheet: noise, flicker, bias, scale, '
@@ -242,9 +248,9 @@ def _notes(outcome: Outcome) -> list[str]:
         ),
         (
             'The driver can only know when bytes arrived, so all stamps are late by what the '
-            f'quickest took on their way: {1e3 * late.seconds:.3f} ± {1e3 * late.sigma:.3f} ms '
-            'here, fitted once on the plain mean of the readings and taken out of every '
-            'estimate alike. Jitter and drift of the stamps are not taken out.'
+            'quickest took on their way. It is fitted once, on the plain mean of the readings, '
+            f'and taken out of every estimate alike. Here: {outcome.lateness}. Jitter and drift '
+            'of the stamps are not taken out.'
         ),
         (
             'The array is what the nodes published live. The IMUs alone and the plain mean '

@@ -1,5 +1,6 @@
 """The demonstration: live once, and its lines and verdict on made-up figures."""
 
+from dataclasses import replace
 import json
 from pathlib import Path
 import signal
@@ -17,6 +18,7 @@ from multiimu_ros.cli import demo, demo_live
 from multiimu_ros.cli.demo_report import Outcome, write_report
 from multiimu_ros.errors import ConfigError
 from multiimu_ros.report.recorded import Recorded
+from multiimu_ros.report.truth import Lateness
 
 IMU_LINES = {f'fusion: imu{k}': {'weight': '0.125'} for k in range(8)}
 
@@ -65,6 +67,12 @@ def test_the_report_tells_how_it_was_measured(tmp_path):
     ):
         assert part in text
     assert text.count('<img') == 8
+
+
+def test_a_motion_that_cannot_show_the_lateness_says_so():
+    result = outcome()
+    blind = replace(result.comparison, lateness=Lateness(0.0, np.inf))
+    assert 'cannot show it' in replace(result, comparison=blind).footnote()
 
 
 def test_machines_get_si_and_people_a_table(capsys):
