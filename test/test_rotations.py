@@ -104,3 +104,8 @@ def test_quaternion_keeps_its_digits_where_an_element_vanishes(axis, angle):
     expected = [*(np.sin(0.5 * angle) * np.array(axis)), np.cos(0.5 * angle)]
     # At half a turn an axis and its opposite are the same rotation.
     assert_allclose(q * np.sign(q @ expected), expected, atol=1e-15)
+
+
+def test_product_is_the_matrix_product_in_any_layout(rng):
+    A, B = rng.standard_normal((4, 3)).T, rng.standard_normal((5, 4)).T
+    assert_allclose(rotations.product(A, B), A @ B, rtol=1e-12, atol=1e-14)
