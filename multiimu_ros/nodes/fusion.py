@@ -4,10 +4,12 @@
 which the rig stands still and none while it moves: a filter downstream takes it as a measurement.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from math import isfinite
 from pathlib import Path
+from threading import Timer
 from typing import Any
 
 from geometry_msgs.msg import TwistWithCovarianceStamped
@@ -31,7 +33,20 @@ from multiimu_ros.nodes.watch import SilenceWatch
 from multiimu_ros.pipeline import Input, Pipeline, PipelineConfig
 from multiimu_ros.rig import save_rig
 
+PATIENCE_S = 3.0
+COMPILING = 'Compiling the filters, once for this installation; it may take a minute ...'
 REST = (0.0, 0.0, 0.0, 0.0, 0.0, 9.80665)
+
+
+@contextmanager
+def explained(say: Callable[[str], Any]) -> Iterator[None]:
+    """Say what takes so long, where it does."""
+    patience = Timer(PATIENCE_S, say, [COMPILING])
+    patience.start()
+    try:
+        yield
+    finally:
+        patience.cancel()
 
 
 def warm_up(pipeline: Pipeline, imus: int) -> None:
@@ -50,7 +65,8 @@ class FusionNode(Node):
         super().__init__(name)
         self.rig = declare_rig(self)
         config = declare_config(self, PipelineConfig, input=kind)
-        warm_up(Pipeline(self.rig, config), len(self.rig.imus))
+        with explained(self.get_logger().info):
+            warm_up(Pipeline(self.rig, config), len(self.rig.imus))
         self.pipeline = Pipeline(self.rig, config)
         self._declare_outputs(self.rig.rig.base_frame)
         self._serve()

@@ -1,10 +1,10 @@
 """Run one node until it is asked to stop: executor, signals and shutdown in one place.
 
 rclpy's own signal handlers invalidate the context first, so that a node's last message fails and
-a second signal interrupts its destruction.  Here a signal only ends the loop; the node is then
-destroyed while its context still lives, and signals that come later are ignored.  The events
-executor is the fast one, but never wakes when it is spun without a timeout; the single-threaded
-one stands in where rclpy has no other.
+a second signal interrupts its destruction.  Here a signal only ends the loop, or a construction
+that is under way; the node is then destroyed while its context still lives, and signals that come
+later are ignored.  The events executor is the fast one, but never wakes when it is spun without a
+timeout; the single-threaded one stands in where rclpy has no other.
 """
 
 from collections.abc import Callable
@@ -69,9 +69,16 @@ def run(make_node: Callable[[], Node]) -> int:
         meets an error that only its user can mend.
     """
     stop = Future()
-    for number in SIGNALS:
-        signal.signal(number, lambda *_: stop.set_result(None))
     node = None
+
+    def ask(*_: object) -> None:
+        first = not stop.done()
+        stop.set_result(None)
+        if first and node is None:  # a constructor may compile kernels for a minute
+            raise SystemExit(0)
+
+    for number in SIGNALS:
+        signal.signal(number, ask)
     try:
         _init()
         node = make_node()

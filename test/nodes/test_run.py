@@ -40,6 +40,18 @@ def test_a_signal_ends_a_node_with_exit_code_0(rig_file, number):
     assert 'Traceback' not in process.text
 
 
+def test_a_node_that_compiles_its_kernels_says_so_and_can_be_interrupted(
+    rig_file, tmp_path, monkeypatch
+):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))  # nothing is compiled there yet
+    with node_process('fusion', rig_file=rig_file) as process:
+        wait_for_text(process, 'Compiling', timeout_s=20.0)
+        code, seconds = process.end(signal.SIGINT)
+        assert code == 0
+        assert seconds < 5.0  # the longest single compilation is a few seconds, of 30 in all
+        assert 'Traceback' not in process.text
+
+
 def test_a_rig_that_leaves_blocks_nominal_is_named(rig_file):
     with node_process('calibration', rig_file=rig_file) as process:
         wait_for_text(process, 'leaves imus[0].intrinsics, imus[0].noise, imus[0].extrinsics')
