@@ -19,8 +19,8 @@ COLUMNS = 14  # of the table
     RECEIVED, BACKWARD, INVALID, STUCK, GAPS,
 ) = range(COLUMNS)  # fmt: skip
 
-CLOCK_FIELDS = 4
-REFERENCE, LAST_SCAN, NEWEST, STARTED = range(CLOCK_FIELDS)
+CLOCK_FIELDS = 5
+REFERENCE, LAST_SCAN, NEWEST, STARTED, NOT_BEFORE = range(CLOCK_FIELDS)
 PATIENCE, START_PATIENCE, PROBATION, JUMP = range(4)  # of the settings
 
 NOT_DUE, REFUSED, JUMPED = -1, -2, -3  # where otherwise the stamp of a scan is returned
@@ -57,7 +57,7 @@ def restart(streams: Streams) -> None:
         row[USABLE_FROM] = NEVER
     clock = streams.clock
     clock[REFERENCE] = 0
-    clock[LAST_SCAN] = clock[NEWEST] = clock[STARTED] = NEVER
+    clock[LAST_SCAN] = clock[NEWEST] = clock[STARTED] = clock[NOT_BEFORE] = NEVER
 
 
 @compiled
@@ -140,9 +140,9 @@ def _is_sound(streams: Streams, k: int) -> bool:
 
 @compiled
 def _note_interval(row: Stamps, stamp: int, settings: Stamps) -> None:
-    """Follow the period of a stream; a hole longer than the patience costs it its trust."""
+    """Follow the period of a stream; scans that were made without it cost it its trust."""
     interval = stamp - row[LATEST]
-    if interval > settings[PATIENCE]:
+    if row[WAITED] == 0:
         row[USABLE_FROM] = stamp + settings[PROBATION]
     if row[PERIOD] == 0:
         row[PERIOD] = interval
@@ -186,20 +186,33 @@ def _is_overdue(row: Stamps, clock: Stamps, stamp: int, settings: Stamps) -> boo
 
 
 @compiled
+def _first_after(stamps: Stamps, row: Stamps, instant: int) -> int:
+    """Return the stamp of the first unscanned sample of a stream after `instant`, or NOT_DUE."""
+    index = row[CURSOR]
+    while index < row[WRITTEN] and stamps[index % RING] <= instant:
+        index += 1
+    return int(stamps[index % RING]) if index < row[WRITTEN] else NOT_DUE
+
+
+@compiled
 def _next_stamp(stamps: Stamps, table: Stamps, clock: Stamps, settings: Stamps) -> int:
-    """Return the reference's next stamp; hand the role on where the reference is silent."""
+    """Return the reference's next stamp; hand the role on where others go on without it."""
     for _ in range(len(table)):
         k = clock[REFERENCE]
-        row = table[k]
-        if row[ENABLED] == 1 and row[WRITTEN] > 0:
-            index = row[CURSOR]
-            while index < row[WRITTEN] and stamps[k, index % RING] <= clock[LAST_SCAN]:
-                index += 1
-            if index < row[WRITTEN]:
-                return int(stamps[k, index % RING])
-        silent_since = max(row[LATEST], clock[LAST_SCAN], clock[STARTED])
-        if row[ENABLED] == 1 and not _is_overdue(row, clock, silent_since, settings):
-            return NOT_DUE
+        if table[k, ENABLED] == 1:
+            stamp = _first_after(stamps[k], table[k], clock[LAST_SCAN])
+            if stamp != NOT_DUE:
+                return stamp
+            # A silence that all streams share is no fault of the reference; only samples that
+            # are none of its last round tell that others go on.
+            last_round = max(clock[LAST_SCAN], table[k, LATEST] + GAP_PERIODS * table[k, PERIOD])
+            earliest = NOT_DUE
+            for other in range(len(table)):
+                stamp = _first_after(stamps[other], table[other], last_round)
+                if stamp != NOT_DUE and (earliest == NOT_DUE or stamp < earliest):
+                    earliest = stamp
+            if earliest == NOT_DUE or not _is_overdue(table[k], clock, earliest, settings):
+                return NOT_DUE
         clock[REFERENCE] = (k + 1) % len(table)
     return NOT_DUE
 

@@ -141,6 +141,17 @@ def test_a_short_hole_is_not_interpolated_and_costs_no_trust():
     assert all(scan.share[1] == 1.0 for scan in scans)
 
 
+def test_a_silence_that_all_share_costs_nobody_the_trust_nor_the_reference_its_role():
+    hiccup = range(100, 160)
+    samples = sorted(chain(*(stream_of(k, 300, k * MS, skip=hiccup) for k in range(3))))
+    late_reference = sorted(samples, key=lambda sample: sample[0] + 30 * MS * (sample[1] == 0))
+    for order in (samples, late_reference):
+        _, scans = scans_of(order)
+        assert [scan.stamp_ns for scan in scans] == [stamp for stamp, k, _ in samples if k == 0]
+        assert all((scan.share == 1.0).all() for scan in scans)
+        assert present(scans, 2).sum() == 300 - 60 - 2  # no neighbour before, one hole
+
+
 @pytest.mark.parametrize('bad', [np.nan, np.inf])
 def test_readings_that_are_no_numbers_never_enter(bad):
     samples = sorted(stream_of(0, 60) + stream_of(1, 60))
