@@ -22,6 +22,7 @@ from multiimu_ros.fusion.rig_model import bias_walk_density, rig_model
 from multiimu_ros.odometry.attitude import AttitudeFilter
 from multiimu_ros.odometry.error_state import ErrorStateFilter
 from multiimu_ros.odometry.profiles import odometry_configs, PROFILES
+from multiimu_ros.odometry.rest import RestBuffer, Sample
 from multiimu_ros.odometry.zero_velocity import StillnessDetector
 from multiimu_ros.registration.transform import mounting
 from multiimu_ros.rig import Rig
@@ -127,6 +128,7 @@ class Pipeline:
         self._synchronizer = _entrance(rig, config)
         self._fusion = ArrayFusion(model, MOTION[config.profile])
         self._detector = StillnessDetector(detector)
+        self._rest = RestBuffer(attitude.resting_lag)
         self._attitude = AttitudeFilter(attitude)
         self._odometry = ErrorStateFilter(odometry)
         self._last_ns: int | None = None
@@ -163,6 +165,7 @@ class Pipeline:
             self._jumps = self._synchronizer.time_jumps
             self._fusion.restart()
             self._odometry.reset_motion()
+            self._rest.clear()
             self._last_ns = None
         fused = self._fusion.push(scan)
         if fused is None:
@@ -182,8 +185,9 @@ class Pipeline:
         still, resting = self._detector.push(
             dt, rate - attitude.gyro_bias, force - odometry.accel_bias, *densities
         )
-        attitude.push(dt, rate, force, *densities, still, resting)
-        odometry.push(dt, rate, force, *densities, still, resting)
+        for sample in self._rest.push(Sample(dt, rate, force, *densities, still, resting)):
+            attitude.step(sample)
+            odometry.step(sample)
         return self._frame(fused, still)
 
     def _frame(self, fused: FusedImu, still: bool) -> FusedFrame:

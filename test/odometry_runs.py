@@ -7,6 +7,7 @@ import numpy as np
 from multiimu_ros.odometry.attitude import AttitudeFilter
 from multiimu_ros.odometry.error_state import ErrorStateFilter
 from multiimu_ros.odometry.profiles import odometry_configs, PROFILES
+from multiimu_ros.odometry.rest import Sample
 from multiimu_ros.odometry.zero_velocity import StillnessDetector
 from multiimu_ros.simulation.trajectories import make_motion
 
@@ -57,8 +58,8 @@ def run(profile, name, duration, rate_hz, seed, noise_gain=1.0):
     densities = noise_gain * RATE_DENSITY, noise_gain * FORCE_DENSITY
     for k, (w, f) in enumerate(zip(rate, force, strict=True)):
         out.flags[k] = detector.push(1 / rate_hz, w, f, *densities)
-        attitude.push(1 / rate_hz, w, f, *densities, *out.flags[k])
-        odometry.push(1 / rate_hz, w, f, *densities, *out.flags[k])
+        attitude.push(Sample(1 / rate_hz, w, f, *densities, *out.flags[k]))
+        odometry.push(Sample(1 / rate_hz, w, f, *densities, *out.flags[k]))
         out.attitude.append((attitude.R_nb, attitude.gyro_bias, attitude.P))
         out.odometry.append(
             (

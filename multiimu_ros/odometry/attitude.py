@@ -25,10 +25,11 @@ from multiimu_ros.odometry.kalman import (
     transform_block,
     white_equivalent,
 )
-from multiimu_ros.odometry.rest import finite, RestBuffer, Sample
+from multiimu_ros.odometry.rest import RestBuffer, Sample
 from multiimu_ros.odometry.strapdown import cross, curvature
 from multiimu_ros.rotations import exp_so3, product, renormalise, right_jacobian, skew
 
+OUTAGE = 0.2  # [s] after longer ones the readings at the two ends have nothing in common
 GAP = 0.05  # [s] longer steps hide motion: 20 Hz is the slowest IMU that we call one
 RADIAL_TIME = 1.0  # [s] memory of how strongly the rig accelerates
 
@@ -116,7 +117,7 @@ def _inject(R: Matrix, bias: Vector, error: Vector, P: Matrix) -> None:
     """Move the estimated error into the state (attitude.md (8))."""
     R[:] = renormalise(product(R, exp_so3(error[:3])))
     bias += error[3:6]
-    transform_block(P, right_jacobian(error[:3]), 0)
+    transform_block(P, exp_so3(-error[:3]), 0)
 
 
 @compiled
@@ -186,6 +187,8 @@ def _step(
         bend = curvature(memory[4:7], memory[:3], rate, memory[7], dt) - bias
         start, end = memory[:3] + bend, rate + bend
         phi = 0.5 * dt * (start + end) + dt * dt / 12.0 * cross(start, end)  # coning
+        if dt > OUTAGE:
+            phi = np.zeros(3)
         _propagate(R, P, phi, rate_density**2 + hidden, walk, dt)
         sigma = still_sigma if still else max(motion_sigma, np.sqrt(memory[3]))
         white = white + white_equivalent(sigma, motion_time, dt)
@@ -213,7 +216,6 @@ class AttitudeFilter:
         self._memory = np.zeros(8)
         self._aligned = self._started = False
         self._rest = RestBuffer(config.resting_lag)
-        self._skipped = 0.0  # [s] time of readings that were not finite
 
     @property
     def aligned(self) -> bool:
@@ -256,42 +258,17 @@ class AttitudeFilter:
         _align(self._R, self._P, force, np.full(3, force_sigma**2), float(self._settings[5]))
         self._aligned = True
 
-    def push(
-        self,
-        dt: float,
-        angular_rate: Vector,
-        specific_force: Vector,
-        rate_density: Vector,
-        force_density: Vector,
-        still: bool,
-        resting: bool,
-    ) -> None:
-        """Move on by one sample; the first one aligns.
+    def push(self, sample: Sample) -> None:
+        """Move on by one sample; rest is learnt from late, as `RestBuffer` says."""
+        for ready in self._rest.push(sample):
+            self.step(ready)
 
-        Parameters
-        ----------
-        dt : float
-            Time since the previous sample [s].
-        angular_rate, specific_force : (3,) arrays
-            Readings [rad/s], [m/s^2]; where they are not finite the sample is bridged.
-        rate_density, force_density : (3,) arrays
-            White noise of these readings [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
-        still, resting : bool
-            What the zero-velocity detector says.
-        """
-        if not finite(angular_rate, specific_force):
-            self._skipped += dt
-            return
+    def step(self, sample: Sample) -> None:
+        """Move on by one finite sample at once; the first one aligns."""
         if not self._aligned:
-            self.align(specific_force, float(self._settings[1 if still else 0]))
+            self.align(sample.specific_force, float(self._settings[1 if sample.still else 0]))
         if not self._started:
-            self._memory[:3] = angular_rate
+            self._memory[:3] = sample.angular_rate
             self._started = True
             return
-        dt += self._skipped
-        sample = Sample(
-            dt, angular_rate, specific_force, rate_density, force_density, still, resting
-        )
-        self._skipped = 0.0
-        for ready in self._rest.push(sample):
-            _step(self._R, self._bias, self._P, self._memory, self._settings, *ready)
+        _step(self._R, self._bias, self._P, self._memory, self._settings, *sample)

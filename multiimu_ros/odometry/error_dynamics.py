@@ -9,7 +9,7 @@ import numpy as np
 
 from multiimu_ros.arrays import Matrix, Vector
 from multiimu_ros.compiled import compiled
-from multiimu_ros.odometry.attitude import GAP, level
+from multiimu_ros.odometry.attitude import GAP, level, OUTAGE
 from multiimu_ros.odometry.kalman import (
     propagate,
     scalar_update,
@@ -126,7 +126,7 @@ def _inject(x: Vector, R: Matrix, P: Matrix, error: Vector) -> None:
     x += error
     x[6:9] = 0.0
     R[:] = renormalise(product(R, exp_so3(error[6:9])))
-    transform_block(P, right_jacobian(error[6:9]), 6)
+    transform_block(P, exp_so3(-error[6:9]), 6)
 
 
 @compiled
@@ -208,17 +208,27 @@ def step(
         _inject(x, R, P, error)
     else:
         hidden = max(0.0, dt - GAP) ** 2 / dt
-        rate_psd = rate_density**2 + hidden * settings[5] ** 2
+        # A turn by more than 1 rad is no less known than one of 1 rad.
+        rate_psd = rate_density**2 + min(hidden * settings[5] ** 2, 1.0 / dt)
         force_psd = force_density**2 + hidden * settings[6] ** 2
         rate_psd = rate_psd + settings[7] ** 2 * np.sum((rate - x[9:12]) ** 2) * dt
         force_psd = force_psd + settings[8] ** 2 * np.sum((force - gravity * R[2]) ** 2) * dt
         R0 = R.copy()
         turn = curvature(memory[8:11], memory[:3], rate, memory[14], dt)
         push = curvature(memory[11:14], memory[3:6], force, memory[14], dt)
-        _move(
-            x, R, P, memory[:3] + turn, memory[3:6] + push, rate + turn, force + push, dt, gravity
-        )  # fmt: skip
+        rate0, rate1 = memory[:3] + turn, rate + turn
+        force0, force1 = memory[3:6] + push, force + push
+        if dt > OUTAGE:  # a line between the readings is no guess: let it go on evenly
+            rate0 = rate1 = x[9:12].copy()
+            force0 = force1 = x[12:15] + gravity * R[2]
+        _move(x, R, P, rate0, force0, rate1, force1, dt, gravity)
         _add_noise(P, R0, rate_psd, force_psd, walks, dt)
+        if dt > OUTAGE:  # level anew what may have been tilted unseen, as at the start
+            error = np.zeros(15)
+            residual = force - x[12:15] - gravity * R[2]
+            variance = force_density**2 / dt + settings[6] ** 2
+            _update_gravity(error, P, R, residual, variance, gravity)
+            _inject(x, R, P, error)
         if still:
             roll = settings[15] ** 2 * np.sum((rate - x[9:12]) ** 2)
             sigma = np.sqrt(velocity_sigma**2 + roll)

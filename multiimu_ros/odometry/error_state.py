@@ -21,7 +21,7 @@ import numpy as np
 from multiimu_ros.arrays import as_vector, Matrix, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.error_dynamics import align, step
-from multiimu_ros.odometry.rest import finite, RestBuffer, Sample
+from multiimu_ros.odometry.rest import RestBuffer, Sample
 from multiimu_ros.rotations import product, skew
 
 
@@ -112,7 +112,6 @@ class ErrorStateFilter:
         self._memory = np.zeros(15)
         self._aligned = self._started = False
         self._rest = RestBuffer(config.resting_lag)
-        self._skipped = 0.0  # [s] time of readings that were not finite
 
     @property
     def state(self) -> Vector:
@@ -168,7 +167,6 @@ class ErrorStateFilter:
         self._P[3:6, 3:6] = np.eye(3) * self._config.motion_velocity_sigma**2
         self._started = False
         self._rest.clear()
-        self._skipped = 0.0
 
     def align(self, specific_force: Vector, force_sigma: float, velocity_sigma: float) -> None:
         """Set roll and pitch from a force, yaw and velocity to zero.
@@ -188,53 +186,25 @@ class ErrorStateFilter:
         self._P[3:6, 3:6] += np.eye(3) * velocity_sigma**2
         self._aligned = True
 
-    def push(
-        self,
-        dt: float,
-        angular_rate: Vector,
-        specific_force: Vector,
-        rate_density: Vector,
-        force_density: Vector,
-        still: bool,
-        resting: bool,
-    ) -> None:
-        """Move on by one sample; the first one aligns, as in motion.
+    def push(self, sample: Sample) -> None:
+        """Move on by one sample; rest is learnt from late, as `RestBuffer` says."""
+        for ready in self._rest.push(sample):
+            self.step(ready)
 
-        Parameters
-        ----------
-        dt : float
-            Time since the previous sample, above zero [s].
-        angular_rate, specific_force : (3,) arrays
-            Readings [rad/s], [m/s^2]; where they are not finite the sample is bridged.
-        rate_density, force_density : (3,) arrays
-            White noise of these readings [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
-        still, resting : bool
-            What the zero-velocity detector says.
-        """
-        if not finite(angular_rate, specific_force):
-            self._skipped += dt
-            return
+    def step(self, sample: Sample) -> None:
+        """Move on by one finite sample at once; the first one aligns, as in motion."""
         if not self._aligned:
             self.align(
-                specific_force, self._config.motion_sigma, self._config.motion_velocity_sigma
+                sample.specific_force,
+                self._config.motion_sigma,
+                self._config.motion_velocity_sigma,
             )
         if not self._started:
             self._memory[:] = 0.0
-            self._memory[:6] = (*angular_rate, *specific_force)
+            self._memory[:6] = (*sample.angular_rate, *sample.specific_force)
             self._started = True
             return
-        sample = Sample(
-            dt + self._skipped,
-            angular_rate,
-            specific_force,
-            rate_density,
-            force_density,
-            still,
-            resting,
-        )
-        self._skipped = 0.0
-        for ready in self._rest.push(sample):
-            step(self._x, self._R, self._P, self._memory, self._settings, *ready)
+        step(self._x, self._R, self._P, self._memory, self._settings, *sample)
 
 
 @compiled

@@ -14,7 +14,19 @@ from multiimu_ros.arrays import Vector
 
 
 class Sample(NamedTuple):
-    """One push of a filter: step [s], readings, their noise densities, and two verdicts."""
+    """One sample of an IMU, as the filters take it.
+
+    Parameters
+    ----------
+    dt : float
+        Time since the previous sample, above zero [s].
+    angular_rate, specific_force : (3,) arrays
+        Readings [rad/s], [m/s^2]; where they are not finite the sample is bridged.
+    rate_density, force_density : (3,) arrays
+        White noise of these readings [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
+    still, resting : bool
+        What the zero-velocity detector says.
+    """
 
     dt: float
     angular_rate: Vector
@@ -25,11 +37,6 @@ class Sample(NamedTuple):
     resting: bool
 
 
-def finite(angular_rate: Vector, specific_force: Vector) -> bool:
-    """Say whether all of a reading is finite; one dot product is the quickest way to ask."""
-    return math.isfinite(angular_rate.dot(angular_rate) + specific_force.dot(specific_force))
-
-
 class RestBuffer:
     """A queue that passes motion through and delays rest by `lag` [s]."""
 
@@ -37,10 +44,20 @@ class RestBuffer:
         self._lag = lag
         self._withheld: deque[Sample] = deque()
         self._span = 0.0
+        self._skipped = 0.0  # [s] time of readings that were not finite
 
     def push(self, sample: Sample) -> list[Sample]:
         """Add the newest sample; return those that a filter is to process now, oldest first."""
+        rate, force = sample.angular_rate, sample.specific_force
+        if not math.isfinite(rate.dot(rate) + force.dot(force)):  # the quickest way to ask
+            self._skipped += sample.dt
+            return []
+        if self._skipped:
+            sample = sample._replace(dt=sample.dt + self._skipped)
+            self._skipped = 0.0
         if not sample.resting:
+            if not self._withheld:
+                return [sample]
             moving = [late._replace(still=False, resting=False) for late in self._withheld]
             self.clear()
             return [*moving, sample]
@@ -61,4 +78,4 @@ class RestBuffer:
     def clear(self) -> None:
         """Forget what is withheld."""
         self._withheld.clear()
-        self._span = 0.0
+        self._span = self._skipped = 0.0

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from multiimu_ros.odometry.attitude import AttitudeConfig, AttitudeFilter, level
+from multiimu_ros.odometry.rest import Sample
 from multiimu_ros.rotations import log_so3
 
 DENSITIES = RATE_DENSITY, FORCE_DENSITY
@@ -29,7 +30,7 @@ def resting(rng, seconds, rate_hz=200, bias=(0.0, 0.0, 0.0), up=(0.0, 0.0, G)):
     noise = np.sqrt(rate_hz) * rng.standard_normal((round(seconds * rate_hz), 2, 3))
     for w, f in noise:
         rate, force = np.array(bias) + RATE_DENSITY * w, np.array(up) + FORCE_DENSITY * f
-        attitude.push(1 / rate_hz, rate, force, *DENSITIES, True, True)
+        attitude.push(Sample(1 / rate_hz, rate, force, *DENSITIES, True, True))
     return attitude
 
 
@@ -65,13 +66,13 @@ def test_yaw_variance_grows_in_motion_and_stops_at_rest(rng):
     before = attitude.P[2, 2]
     up = np.array([0.0, 0.0, G])
     for _ in range(2000):
-        attitude.push(0.005, attitude.gyro_bias, up, *DENSITIES, False, False)
+        attitude.push(Sample(0.005, attitude.gyro_bias, up, *DENSITIES, False, False))
     grown = attitude.P[2, 2] - before
     # 10 s of white noise, and of a bias known to density / sqrt(4.75 s): lag excluded.
     assert_allclose(grown, 1.2e-4**2 * (10 + 100 / 4.75), rtol=0.1)
     held = attitude.P[2, 2]
     for _ in range(200):
-        attitude.push(0.005, attitude.gyro_bias, up, *DENSITIES, True, True)
+        attitude.push(Sample(0.005, attitude.gyro_bias, up, *DENSITIES, True, True))
     assert attitude.P[2, 2] < held + 1e-9
 
 
@@ -92,9 +93,9 @@ def test_uncertainty_is_what_the_error_is():
 def test_a_gap_is_bridged_with_the_last_rate_and_admitted(rng):
     attitude = resting(rng, 3.0)
     turn, up = np.array([0.0, 0.0, 0.5]), np.array([0.0, 0.0, G])
-    attitude.push(0.005, turn, up, *DENSITIES, False, False)
+    attitude.push(Sample(0.005, turn, up, *DENSITIES, False, False))
     before = attitude.P[2, 2]
-    attitude.push(2.0, turn, up, *DENSITIES, False, False)
+    attitude.push(Sample(2.0, turn, up, *DENSITIES, False, False))
     yaw = np.arctan2(attitude.R_nb[1, 0], attitude.R_nb[0, 0])
     assert abs(yaw - 1.0) < 0.01
     assert attitude.P[2, 2] - before > 1.0  # nobody saw what happened in 2 s
@@ -103,10 +104,10 @@ def test_a_gap_is_bridged_with_the_last_rate_and_admitted(rng):
 def test_what_is_not_finite_is_bridged(rng):
     attitude, other = resting(rng, 2.0), resting(np.random.default_rng(20260711), 2.0)
     turn, up = np.array([0.0, 0.0, 0.5]), np.array([0.0, 0.0, G])
-    attitude.push(0.01, np.full(3, np.nan), up, *DENSITIES, False, False)
-    attitude.push(0.01, turn, np.full(3, np.inf), *DENSITIES, False, False)
-    attitude.push(0.01, turn, up, *DENSITIES, False, False)
-    other.push(0.03, turn, up, *DENSITIES, False, False)
+    attitude.push(Sample(0.01, np.full(3, np.nan), up, *DENSITIES, False, False))
+    attitude.push(Sample(0.01, turn, np.full(3, np.inf), *DENSITIES, False, False))
+    attitude.push(Sample(0.01, turn, up, *DENSITIES, False, False))
+    other.push(Sample(0.03, turn, up, *DENSITIES, False, False))
     assert_allclose(attitude.R_nb, other.R_nb, atol=1e-12)
     assert np.isfinite(attitude.P).all()
 

@@ -19,6 +19,7 @@ from multiimu_ros.odometry.error_state import (
     pose_covariance,
     twist_covariance,
 )
+from multiimu_ros.odometry.rest import Sample
 from multiimu_ros.odometry.strapdown import increments
 from multiimu_ros.rotations import exp_so3, log_so3
 from multiimu_ros.simulation.gait import duration_of
@@ -62,7 +63,7 @@ def test_a_standing_rig_stays_where_it_is(rng):
         rate, force, *_ = read(still, rng, 50)
         positions = []
         for w, f in zip(rate, force, strict=True):
-            odometry.push(0.02, w, f, *DENSITIES, *detector.push(0.02, w, f, *DENSITIES))
+            odometry.push(Sample(0.02, w, f, *DENSITIES, *detector.push(0.02, w, f, *DENSITIES)))
             positions.append(odometry.position_n)
         # What moves is the first seconds, before rest is known; then nothing does.
         settled = np.array(positions[150:])
@@ -104,7 +105,7 @@ def test_zero_velocity_tells_the_same_at_any_rate():
     for rate_hz in (100, 1000):
         _, _, odometry = filters('foot')
         for _ in range(rate_hz // 2):
-            odometry.push(1 / rate_hz, np.zeros(3), UP, *DENSITIES, True, False)
+            odometry.push(Sample(1 / rate_hz, np.zeros(3), UP, *DENSITIES, True, False))
         sigmas.append(np.sqrt(odometry.P[3, 3]))
     # 10 ms of correlation: at 100 Hz two updates count as one.
     assert_allclose(sigmas[0], sigmas[1], rtol=0.15)
@@ -113,15 +114,17 @@ def test_zero_velocity_tells_the_same_at_any_rate():
 def test_a_swing_that_looks_still_for_a_moment_is_not_believed():
     _, _, odometry = filters('foot')
     for _ in range(400):
-        odometry.push(0.005, np.zeros(3), UP, *DENSITIES, True, False)
+        odometry.push(Sample(0.005, np.zeros(3), UP, *DENSITIES, True, False))
     for _ in range(40):
-        odometry.push(0.005, np.zeros(3), np.array([10.0, 0.0, G]), *DENSITIES, False, False)
+        odometry.push(
+            Sample(0.005, np.zeros(3), np.array([10.0, 0.0, G]), *DENSITIES, False, False)
+        )
     speed = odometry.velocity_n[0]
     assert speed > 1.5
-    odometry.push(0.005, np.zeros(3), UP, *DENSITIES, True, False)
+    odometry.push(Sample(0.005, np.zeros(3), UP, *DENSITIES, True, False))
     assert abs(odometry.velocity_n[0] - speed) < 0.1
     for _ in range(100):  # 0.5 s is no swing any more
-        odometry.push(0.005, np.zeros(3), UP, *DENSITIES, True, False)
+        odometry.push(Sample(0.005, np.zeros(3), UP, *DENSITIES, True, False))
     assert abs(odometry.velocity_n[0]) < 0.1
 
 
@@ -131,7 +134,7 @@ def test_covariance_survives_a_long_wild_run(rng):
         still = k % 1000 > 900
         rate = np.zeros(3) if still else 3.0 * rng.standard_normal(3)
         force = UP if still else UP + 20.0 * rng.standard_normal(3)
-        odometry.push(0.01, rate, force, *DENSITIES, still, still and k % 1000 > 950)
+        odometry.push(Sample(0.01, rate, force, *DENSITIES, still, still and k % 1000 > 950))
     P = odometry.P
     assert_allclose(P, P.T, rtol=1e-12)
     scale = np.sqrt(np.diag(P))
@@ -141,10 +144,10 @@ def test_covariance_survives_a_long_wild_run(rng):
 def test_gaps_and_rubbish_are_bridged_and_admitted():
     _, _, odometry = filters('hand')
     for _ in range(400):
-        odometry.push(0.005, np.zeros(3), UP, *DENSITIES, True, True)
+        odometry.push(Sample(0.005, np.zeros(3), UP, *DENSITIES, True, True))
     before = odometry.P[0, 0]
-    odometry.push(0.5, np.full(3, np.nan), UP, *DENSITIES, False, False)
-    odometry.push(0.5, np.zeros(3), UP, *DENSITIES, False, False)
+    odometry.push(Sample(0.5, np.full(3, np.nan), UP, *DENSITIES, False, False))
+    odometry.push(Sample(0.5, np.zeros(3), UP, *DENSITIES, False, False))
     assert np.isfinite(odometry.P).all()
     assert np.abs(odometry.position_n).max() < 0.1
     assert np.sqrt(odometry.P[0, 0] - before) > 0.1  # 0.5 m/s^2 unseen for a second
@@ -176,8 +179,8 @@ def test_biases_are_restored_and_survive_a_reset():
     _, _, odometry = filters('hand')
     odometry.restore_biases(np.full(3, 0.01), np.full(3, 1e-4), np.full(3, 0.1), np.full(3, 0.01))
     odometry.align(UP + 0.1, 0.01, 0.0)
-    odometry.push(0.01, np.full(3, 0.01), UP + 0.1, *DENSITIES, False, False)
-    odometry.push(0.01, np.full(3, 0.01), UP + 0.1, *DENSITIES, False, False)
+    odometry.push(Sample(0.01, np.full(3, 0.01), UP + 0.1, *DENSITIES, False, False))
+    odometry.push(Sample(0.01, np.full(3, 0.01), UP + 0.1, *DENSITIES, False, False))
     R = odometry.R_nb
     odometry.reset_motion()
     assert_allclose(odometry.state[:9], 0.0)
@@ -185,7 +188,7 @@ def test_biases_are_restored_and_survive_a_reset():
     assert_allclose(odometry.accel_bias, 0.1, atol=1e-3)
     assert_allclose(odometry.R_nb, R)
     assert odometry.P[3, 3] == 0.5**2  # a hand's velocity
-    odometry.push(0.01, np.full(3, 0.01), UP + 0.1, *DENSITIES, False, False)
+    odometry.push(Sample(0.01, np.full(3, 0.01), UP + 0.1, *DENSITIES, False, False))
     assert np.isfinite(odometry.P).all()
 
 

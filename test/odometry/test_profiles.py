@@ -8,6 +8,7 @@ from scipy.io import loadmat
 
 from multiimu_ros.odometry.error_state import ErrorStateFilter
 from multiimu_ros.odometry.profiles import FOOT, odometry_configs, PROFILES
+from multiimu_ros.odometry.rest import Sample
 from multiimu_ros.odometry.zero_velocity import StillnessDetector
 
 # A MicroStrain GX3-25 by its data sheet, 0.03 deg/s/sqrt(Hz) and 80 ug/sqrt(Hz), rounded up for
@@ -26,7 +27,7 @@ def walked(imu, time):
     for k, (dt, row) in enumerate(zip(steps, imu, strict=True)):
         rate, force = row[3:] * flip, row[:3] * flip
         verdict = detector.push(dt, rate, force, RATE_DENSITY, FORCE_DENSITY)
-        odometry.push(dt, rate, force, RATE_DENSITY, FORCE_DENSITY, *verdict)
+        odometry.push(Sample(dt, rate, force, RATE_DENSITY, FORCE_DENSITY, *verdict))
         positions[k] = odometry.position_n
     return positions * flip
 
