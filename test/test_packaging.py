@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 from zipfile import ZipFile
 
 import pytest
+import yaml
 
 import multiimu_ros
 
@@ -103,16 +104,46 @@ def test_the_example_runs():
     assert run.stdout.startswith('2000 frames')  # 10 s at 200 Hz, none lost
 
 
-def test_a_wheel_carries_what_the_nodes_need_at_run_time(tmp_path):
-    shutil.copytree(
-        ROOT,
-        tmp_path / 'tree',
-        ignore=shutil.ignore_patterns('.venv*', '.git', 'build', '*.egg-info', '__pycache__'),
-    )
+@pytest.fixture
+def tree(tmp_path):
+    """Return a copy of the repository, without what was built."""
+    built = shutil.ignore_patterns('.venv*', '.git', 'build', '*.egg-info', '__pycache__', 'out')
+    return Path(shutil.copytree(ROOT, tmp_path / 'tree', ignore=built))
+
+
+def test_colcon_installs_every_executable_where_ros2_run_looks(tree, tmp_path):
+    # The command of colcon's ament_python build.
+    command = f"""setup.py -q egg_info --egg-base {tmp_path} build --build-base {tmp_path}/build
+        install --prefix {tmp_path}/install --record {tmp_path}/install.log
+        --single-version-externally-managed"""
+    subprocess.run([sys.executable, *command.split()], cwd=tree, check=True, capture_output=True)
+    programs = {path.name: path for path in (tmp_path / 'install/lib/multiimu_ros').iterdir()}
+    assert sorted(programs) == sorted(SCRIPTS)
+    # Started by the Python that has the libraries, which `/usr/bin/env python3` may not be.
+    first_lines = {path.read_text().partition('\n')[0] for path in programs.values()}
+    assert first_lines == {f'#!{sys.executable}'}
+    share = tmp_path / 'install/share'
+    assert (share / 'ament_index/resource_index/packages/multiimu_ros').exists()
+    assert (share / 'multiimu_ros/launch/demo.launch.py').exists()
+
+
+def test_the_launch_files_start_executables_that_exist():
+    text = ''.join(path.read_text() for path in ROOT.glob('launch/*.py'))
+    started = set(re.findall(r"(?:\bnode|ExecutableInPackage)\('(\w+)'", text))
+    assert {'driver', 'pipeline', 'fusion', 'emulator'} <= started <= set(SCRIPTS)
+
+
+def test_the_parameter_file_has_a_section_for_each_node_that_is_launched():
+    text = (ROOT / 'launch/multiimu.launch.py').read_text()
+    sections = yaml.safe_load((ROOT / 'config/params.yaml').read_text())
+    assert {f'/**/{name}' for name in re.findall(r"\bnode\('(\w+)'", text)} == set(sections)
+
+
+def test_a_wheel_carries_what_the_nodes_need_at_run_time(tree, tmp_path):
     build = 'import sys; from setuptools import build_meta; build_meta.build_wheel(sys.argv[1])'
     subprocess.run(
         [sys.executable, '-c', build, tmp_path],
-        cwd=tmp_path / 'tree',
+        cwd=tree,
         check=True,
         capture_output=True,
     )
