@@ -1,17 +1,21 @@
 """Run one node until it is asked to stop: executor, signals and shutdown in one place.
 
 rclpy's own signal handlers invalidate the context first, so that a node's last message fails and
-a second signal interrupts its destruction.  Here a signal only ends the loop, or a construction
-that is under way; the node is then destroyed while its context still lives, and signals that come
-later are ignored.  The events executor is the fast one, but never wakes when it is spun without a
-timeout; the single-threaded one stands in where rclpy has no other.
+a second signal interrupts its destruction.  Here a signal only ends the loop; the node is then
+destroyed while its context still lives, and signals that come later are ignored.  A node that is
+still being made gets a moment to be made and destroyed, and then the process just ends.
+
+The events executor is the fast one, but never wakes when it is spun without a timeout; the
+single-threaded one stands in where rclpy has no other.
 """
 
 from collections.abc import Callable
 from contextlib import suppress
 import gc
+import os
 import signal
 import sys
+from threading import Timer
 
 import rclpy
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
@@ -28,6 +32,7 @@ except ImportError:  # an rclpy older than Jazzy's
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 WAKE_S = 0.1  # how often the loop looks whether it was asked to stop
+CONSTRUCTION_S = 1.0  # how long a node that is asked to stop may still be under construction
 
 
 def spin(node: Node, stop: Future) -> None:
@@ -71,11 +76,16 @@ def run(make_node: Callable[[], Node]) -> int:
     stop = Future()
     node = None
 
+    def give_up() -> None:
+        if node is None:
+            os._exit(0)
+
     def ask(*_: object) -> None:
-        first = not stop.done()
         stop.set_result(None)
-        if first and node is None:  # a constructor may compile kernels for a minute
-            raise SystemExit(0)
+        if node is None:  # its constructor may compile kernels for a minute
+            patience = Timer(CONSTRUCTION_S, give_up)
+            patience.daemon = True
+            patience.start()
 
     for number in SIGNALS:
         signal.signal(number, ask)
