@@ -83,7 +83,7 @@ def _print(
     console = Console(soft_wrap=True, highlight=False)
     console.print(' '.join(f'{name}={value}' for name, value in variables.items() if value))
     nodes = ', '.join(graph.nodes) or 'none'
-    console.print(Text(f'{len(graph.nodes)} nodes in domain {graph.domain_id}: {nodes}'))
+    console.print(Text(f'Nodes in domain {graph.domain_id}: {nodes}'))
     if figures:
         print_table('IMUs', [_row(figure) for figure in figures])
     for topic, count in graph.odometries.items():

@@ -120,10 +120,13 @@ def _judge_chain(graph: Graph) -> Iterator[Finding]:
     stages = {imu.stage for imu in graph.imus if imu.publishers}
     if graph.nodes and not stages:
         yield Finding(ERROR, 'graph', 'nobody publishes a sensor_msgs/Imu; start the driver.')
-    if stages and 'fused' not in stages:
-        yield Finding(HINT, 'imu/data', 'nobody publishes it; start `fusion` or `pipeline`.')
-    if stages and not graph.odometries:
-        yield Finding(HINT, 'odom', 'nobody publishes it; start `fusion` or `pipeline`.')
+    present = {'imu/data': 'fused' in stages, 'odom': bool(graph.odometries)}
+    fusing = [name for name in graph.nodes if name.endswith(('/fusion', '/pipeline'))]
+    text = 'nobody publishes it; start `fusion` or `pipeline`.'
+    if fusing:
+        text = f'{fusing[0]} does not publish it yet; let it compile its kernels, or see its log.'
+    for name in [name for name, published in present.items() if stages and not published]:
+        yield Finding(HINT, name, text)
     for topic, count in graph.odometries.items():
         if not count:
             yield Finding(ERROR, topic, 'it is published but silent; look at what feeds it.')

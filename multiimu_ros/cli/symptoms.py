@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from multiimu_ros.arrays import Vector
+from multiimu_ros.arrays import Scalars, Vector
 from multiimu_ros.cli.inspect import inspect_track, TURN
 from multiimu_ros.nodes.heard import ImuTopic
 
@@ -183,6 +183,8 @@ def _figures(imu: ImuTopic, gravity: float, simulated_time: bool) -> Figures:
     readings = np.hstack([samples.angular_rate, samples.specific_force])
     finite = np.isfinite(readings).all(axis=1)
     up, across = _attitude(readings[finite])
+    rate, force = np.linalg.norm(readings[finite].reshape(-1, 2, 3), axis=2).T
+    median_rate, median_force = map(_median, (rate, force))  # unstamped readings count, too
     figures = inspect_track(track)
     age_s = float('nan') if simulated_time else figures['clock_offset_s']
     return figures | {
@@ -192,17 +194,23 @@ def _figures(imu: ImuTopic, gravity: float, simulated_time: bool) -> Figures:
         'unstamped': int((~stamped).sum()),
         'not_finite': int((~finite).sum()),
         'stuck': len(readings) >= STUCK and bool((readings == readings[0]).all()),
+        'median_rate': median_rate,
+        'median_force': median_force,
         'age_s': age_s,
         'ahead_s': -age_s,
         'resting': up is not None,
         'up': None if up is None else up.tolist(),
         'across': across,
         'gravity': gravity,
-        'misfit': abs(figures['median_force'] / gravity - 1.0),
+        'misfit': abs(median_force / gravity - 1.0),
         'frames': len(imu.frames),
         'publishers': len(imu.publishers),
         'subscribers': len(imu.subscribers),
     }
+
+
+def _median(values: Scalars) -> float:
+    return float(np.median(values)) if len(values) else float('nan')
 
 
 def _attitude(readings: NDArray[np.float64]) -> tuple[Vector | None, float]:

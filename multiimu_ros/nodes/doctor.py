@@ -41,7 +41,8 @@ from multiimu_ros.samples import ImuSamples
 
 KINDS = {IMU_TYPE: Imu, 'nav_msgs/msg/Odometry': Odometry}
 LOOK_S = 0.2  # how often new topics are looked for
-DISCOVERY_S = 1.0  # what the middleware takes to make the nodes of a graph known to a new one
+DISCOVERY_S = 1.0  # from the first topic that is found to the last
+PATIENCE_S = 4.0  # until there is one: Fast DDS repeats an announcement that was lost after 3 s
 COVARIANCES = np.r_[4:13, RATE_COVARIANCE, FORCE_COVARIANCE]
 Heard = tuple[int, bytes]  # when [ns], and what
 
@@ -52,7 +53,7 @@ class DoctorNode(Node):
     Parameters
     ----------
     seconds : float
-        How long to listen [s].
+        How long to listen once there is a topic to listen to [s].
 
     Attributes
     ----------
@@ -66,7 +67,8 @@ class DoctorNode(Node):
         self._ears: dict[str, tuple[Subscription, float, list[Heard]]] = {}
         self._statuses: dict[str, Complaint | None] = {}
         self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, QOS)
-        self._end = time.monotonic() + DISCOVERY_S + seconds
+        self._seconds = seconds
+        self._end = time.monotonic() + PATIENCE_S
         self.create_timer(LOOK_S, self._look)
 
     def _look(self) -> None:
@@ -80,6 +82,8 @@ class DoctorNode(Node):
                     self._listen(topic, kind)
 
     def _listen(self, topic: str, kind: str) -> None:
+        if not self._ears:
+            self._end = time.monotonic() + DISCOVERY_S + self._seconds
         messages: list[Heard] = []
         callback = partial(_keep, messages)
         ear = self.create_subscription(KINDS[kind], topic, callback, QOS, raw=True)

@@ -79,6 +79,8 @@ def test_variables_that_keep_nodes_apart_are_named(variables, complaint):
 def test_a_graph_without_imus_and_one_without_fusion():
     assert said() == 'error: graph: nobody publishes a sensor_msgs/Imu; start the driver.'
     assert said(imu(0)).startswith('hint: imu/data, odom: nobody publishes it')
+    text = said(imu(0), nodes=('/board/fusion',))
+    assert text.startswith('hint: imu/data, odom: /board/fusion does not publish it yet')
     assert 'error: /odom: it is published but silent' in said(imu(0), odometries={'/odom': 0})
     covariances = np.tile(np.eye(3), (N, 3, 1, 1))
     fused = heard_imu('/imu/data', frame_id='base_link', covariances=covariances)

@@ -83,6 +83,10 @@ def test_wrong_stamps_are_found(stamp_ns, complaint):
     assert complaint in said(heard_imu(stamp_ns=stamp_ns))
 
 
+def test_readings_without_stamps_are_judged_all_the_same():
+    assert 'that is g' in said(heard_imu(values=readings() / 9.81, stamp_ns=np.zeros(N, int)))
+
+
 def test_the_age_of_stamps_is_judged_on_the_same_clock_only():
     old, ahead = heard_imu(late_ns=3 * 10**9), heard_imu(late_ns=-(10**8))
     assert 'warning: stamps are 3 s old' in said(old)
