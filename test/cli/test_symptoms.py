@@ -42,6 +42,7 @@ def test_a_healthy_topic_is_left_alone():
     [
         (readings() / [1, 1, 1, 9.81, 9.81, 9.81], 'error: the force is 1: that is g'),
         (readings() * 100, 'milli-g'),
+        (readings() / 7.5, 'error: the force is 1.3: that is g'),
         (readings() - [0, 0, 0, 0, 0, 9.81], 'error: the force is 0.016 m/s^2: gravity was taken'),
         (readings() / [1, 1, 1, 2, 2, 2], 'warning: at rest it reads 4.9 m/s^2, not 9.81'),
         (turning(3.0, 0, 0), 'error: the rate is 3, which the force does not'),
