@@ -22,7 +22,7 @@ KERNELS := $(wildcard test/test_rotations.py test/calibration test/registration 
 help:  ## say what there is
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
 
-install: $(READY)  ## build the virtual environment in $(VENV)
+install: $(READY)  ## build the virtual environment in .venv
 
 demo: $(READY)  ## eight emulated IMUs become one: live table, HTML report
 	$(BIN)/multiimu demo
@@ -31,8 +31,8 @@ test: static  ## everything: linters, types, imports, all tests with branch cove
 	@rm -f .coverage
 	@echo '== 1/3 core, compiled, two at a time'
 	$(COVERED) -n 2 -m 'not ros'
-	@echo '== 2/3 rim: real nodes and processes, one at a time'
-	$(COVERED) -m ros
+	@echo '== 2/3 rim: real nodes and processes, each half in a domain of its own'
+	$(COVERED) -n 2 --dist loadfile -m ros
 	@echo '== 3/3 kernels as plain Python, for coverage'
 	MULTIIMU_COMPILED=0 $(COVERED) -n 2 -m 'not ros and not slow and not realdata' $(KERNELS)
 	$(BIN)/python -m coverage report --skip-covered

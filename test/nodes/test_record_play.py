@@ -1,5 +1,6 @@
 """Bags onto topics and topics into bags, with real processes."""
 
+import os
 import re
 import resource
 import signal
@@ -19,7 +20,7 @@ from multiimu_ros.samples import ImuSamples
 
 pytestmark = pytest.mark.ros
 TOPICS = ['/imu0/data_raw', '/imu1/data_raw']
-DOMAIN = 52
+DOMAIN = int(os.environ['ROS_DOMAIN_ID'])
 PERIOD_NS = 5_000_000
 START_NS = 1_600_000_000_000_000_000
 

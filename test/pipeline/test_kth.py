@@ -5,6 +5,7 @@ data/README.md of the recordings says how the noise is measured: a plain mean of
 """
 
 import functools
+import os
 
 import kth
 from live_chain import fuse, numbers, replay
@@ -65,7 +66,10 @@ def test_the_live_nodes_say_what_fuse_says(tmp_path):
     scans = kth.write_bag('exp_3', tmp_path / 'bag', seconds=seconds)
     save_rig(kth.rig(kth.load('exp_3')), tmp_path / 'rig.yaml')
     fuse(tmp_path / 'bag', tmp_path / 'rig.yaml', tmp_path / 'fused')
-    replay(tmp_path / 'bag', tmp_path / 'rig.yaml', tmp_path / 'live', domain=53, seconds=seconds)
+    domain = int(os.environ['ROS_DOMAIN_ID'])
+    replay(
+        tmp_path / 'bag', tmp_path / 'rig.yaml', tmp_path / 'live', domain=domain, seconds=seconds
+    )
     for topic in ('/imu/data', '/odom'):
         stamps, live = numbers(tmp_path / 'live', topic)
         expected, offline = numbers(tmp_path / 'fused', topic)
