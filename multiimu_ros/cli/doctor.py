@@ -18,6 +18,7 @@ from multiimu_ros.nodes.heard import Graph
 from multiimu_ros.rig import load_rig
 
 STYLES = {ERROR: 'bold red', WARNING: 'yellow', HINT: 'cyan'}
+NAMED = 8  # subjects of one finding; there are up to 16 IMUs with 3 topics each
 UDP_TABLE = Path('/proc/net/udp')
 
 app = typer.Typer(add_completion=False)
@@ -89,10 +90,17 @@ def _print(
     for topic, count in graph.odometries.items():
         console.print(Text(f'{topic}: {count} messages'))
     for level, subject, text in findings:
-        console.print(Text.assemble((f'{level}: ', STYLES[level]), (subject, 'bold'), f': {text}'))
+        named = _shortened(subject)
+        console.print(Text.assemble((f'{level}: ', STYLES[level]), (named, 'bold'), f': {text}'))
     counts = [(level, sum(f.level == level for f in findings)) for level in STYLES]
     summary = ', '.join(f'{count} {level}{"s" * (count != 1)}' for level, count in counts if count)
     console.print(summary or 'Nothing is wrong.')
+
+
+def _shortened(subjects: str) -> str:
+    names = subjects.split(', ')
+    more = len(names) - NAMED
+    return subjects if more <= 0 else f'{", ".join(names[:NAMED])} and {more} more'
 
 
 def _row(figures: Figures) -> dict[str, Any]:

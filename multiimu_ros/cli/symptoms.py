@@ -70,7 +70,7 @@ SYMPTOMS: tuple[tuple[str, Callable[[Figures], bool], str], ...] = (
     (
         WARNING,
         lambda f: f['gaps'],
-        '{gaps} gaps, the longest {longest_gap_s:.2g} s; look at the driver and the load.',
+        '{gaps} gaps, the longest {longest_gap_s:.2g} s; look at the driver and at the load.',
     ),
     (
         WARNING,

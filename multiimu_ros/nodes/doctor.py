@@ -68,14 +68,20 @@ class DoctorNode(Node):
         self._statuses: dict[str, Complaint | None] = {}
         self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, QOS)
         self._seconds = seconds
+        self._settled = False
         self._end = time.monotonic() + PATIENCE_S
         self.create_timer(LOOK_S, self._look)
 
     def _look(self) -> None:
-        if time.monotonic() > self._end:
+        now = time.monotonic()
+        if now > self._end:
             self.graph = self._describe()
             self.context.try_shutdown()
             return
+        if self._ears and not self._settled and now > self._end - self._seconds:
+            self._settled = True
+            for _, _, messages in self._ears.values():
+                messages.clear()  # while subscribing, the listener itself misses some
         for topic, types in self.get_topic_names_and_types():
             for kind in KINDS.keys() & types:
                 if topic not in self._ears and find_publishers(self, topic, kind):

@@ -57,6 +57,12 @@ def test_findings_are_counted_and_errors_fail(call):
     assert text.endswith('1 error, 1 warning\n')
 
 
+def test_people_are_not_shown_more_than_eight_subjects(call):
+    complaints = tuple(Complaint(f'imu{k}', 'error', 'stuck') for k in range(10))
+    _, text = call(Graph(domain_id=7, nodes=('/a',), complaints=complaints))
+    assert 'error: imu0, imu1, imu2, imu3, imu4, imu5, imu6, imu7 and 2 more: stuck\n' in text
+
+
 def test_machines_get_the_same_as_json(call, tmp_path):
     path = tmp_path / 'rig.yaml'
     path.write_text(RIG)

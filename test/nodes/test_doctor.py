@@ -141,8 +141,9 @@ def test_a_wrong_domain_is_named_beside_the_one_that_is_in_use():
 
 
 def test_an_interrupted_doctor_says_so_in_one_sentence():
-    with start_doctor('--seconds', '30') as doctor:
-        time.sleep(4.0)  # past the imports: before, Python itself would answer
+    with ros_peer() as peer, start_doctor('--seconds', '30') as doctor:
+        name = f'doctor_{doctor.pid}'
+        peer.wait_until(lambda: name in peer.node.get_node_names(), 15.0)
         doctor.send_signal(signal.SIGINT)
         _, stderr = doctor.communicate(timeout=10.0)
     assert doctor.returncode == 1
