@@ -77,9 +77,10 @@ def fuse_scan(
     out[0], out[1] = known, variance * _interpolation_gain(b, R, noise_gain)
     if np.isfinite(gain):  # a x r errs with the variance of the angular acceleration
         out[1, 3:] += gain * P.max() * (mean_arm * mean_arm).sum()
-    _align(model, state, z, b, dt, share, out)
     weights = (b[:, 0] + b[:, 1] + b[:, 2]) / 3.0
-    if not weights.any():
+    if weights.any():
+        _align(model, state, z, b, dt, share, out)
+    else:  # all are on probation: nothing to align them with
         out[:] = np.nan
     state.trust[1] = share
     return out, weights

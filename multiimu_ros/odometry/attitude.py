@@ -185,10 +185,10 @@ def _step(
     else:
         hidden = gap_sigma**2 * max(0.0, dt - GAP) ** 2 / dt
         bend = curvature(memory[4:7], memory[:3], rate, memory[7], dt) - bias
+        if dt > OUTAGE:
+            bend = -bias
         start, end = memory[:3] + bend, rate + bend
         phi = 0.5 * dt * (start + end) + dt * dt / 12.0 * cross(start, end)  # coning
-        if dt > OUTAGE:
-            phi = np.zeros(3)
         _propagate(R, P, phi, rate_density**2 + hidden, walk, dt)
         sigma = still_sigma if still else max(motion_sigma, np.sqrt(memory[3]))
         white = white + white_equivalent(sigma, motion_time, dt)

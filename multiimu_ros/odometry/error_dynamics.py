@@ -20,6 +20,7 @@ from multiimu_ros.odometry.strapdown import curvature, increments
 from multiimu_ros.rotations import exp_so3, product, renormalise, right_jacobian, skew
 
 CREDIBLE_SQUARE = 16.0  # 4 sigma; beyond it a swinging foot that looks still for a moment
+LINEAR = 0.2  # [rad] of a larger sigma a linear filter makes turns out of the next second's noise
 CONFIRMED = 0.1  # [s] no swing looks still for longer, but a running stance does
 
 
@@ -94,6 +95,22 @@ def _move(
     x[3:6] += R @ dv
     x[2] -= 0.5 * gravity * dt * dt
     x[5] -= gravity * dt
+    R[:] = renormalise(product(R, exp_so3(phi)))
+
+
+@compiled
+def _coast(x: Vector, R: Matrix, P: Matrix, phi: Vector, dt: float) -> None:
+    """Bridge an outage: the velocity stays, the attitude turns by `phi`.
+
+    Integrated over seconds, the noise of the readings at its two ends would be a motion.
+    """
+    F = np.eye(15)
+    for i in range(3):
+        F[i, 3 + i] = dt
+        F[6 + i, 9 + i] = -dt
+    F[6:9, 6:9] = exp_so3(-phi)
+    propagate(P, F)
+    x[0:3] += dt * x[3:6]
     R[:] = renormalise(product(R, exp_so3(phi)))
 
 
@@ -208,20 +225,20 @@ def step(
         _inject(x, R, P, error)
     else:
         hidden = max(0.0, dt - GAP) ** 2 / dt
-        # A turn by more than 1 rad is no less known than one of 1 rad.
-        rate_psd = rate_density**2 + min(hidden * settings[5] ** 2, 1.0 / dt)
+        rate_psd = rate_density**2 + min(hidden * settings[5] ** 2, LINEAR**2 / dt)
         force_psd = force_density**2 + hidden * settings[6] ** 2
         rate_psd = rate_psd + settings[7] ** 2 * np.sum((rate - x[9:12]) ** 2) * dt
         force_psd = force_psd + settings[8] ** 2 * np.sum((force - gravity * R[2]) ** 2) * dt
         R0 = R.copy()
         turn = curvature(memory[8:11], memory[:3], rate, memory[14], dt)
         push = curvature(memory[11:14], memory[3:6], force, memory[14], dt)
-        rate0, rate1 = memory[:3] + turn, rate + turn
-        force0, force1 = memory[3:6] + push, force + push
-        if dt > OUTAGE:  # a line between the readings is no guess: let it go on evenly
-            rate0 = rate1 = x[9:12].copy()
-            force0 = force1 = x[12:15] + gravity * R[2]
-        _move(x, R, P, rate0, force0, rate1, force1, dt, gravity)
+        if dt > OUTAGE:
+            _coast(x, R, P, dt * (0.5 * (memory[:3] + rate) - x[9:12]), dt)
+        else:
+            _move(
+                x, R, P, memory[:3] + turn, memory[3:6] + push, rate + turn, force + push,
+                dt, gravity,
+            )  # fmt: skip
         _add_noise(P, R0, rate_psd, force_psd, walks, dt)
         if dt > OUTAGE:  # level anew what may have been tilted unseen, as at the start
             error = np.zeros(15)

@@ -1,7 +1,7 @@
 """A serial port that is read for ever, through every unplugging.
 
 A thread waits for bytes, notes the time as soon as it has them, and hands both on.  Where the
-port cannot be opened, or goes away, it tries again after 0.1 s, then 0.2 s, up to every 2 s.
+port cannot be opened, or goes away, it tries again after 0.1 s, then 0.2 s, up to every 0.5 s.
 
 Arrivals are host time without its steps: the system's clock is read once, at the start, and the
 monotonic one counts from there, so that a correction of the former never tears a recording.
@@ -19,7 +19,7 @@ from serial.tools import list_ports
 
 from multiimu_ros.errors import ConfigError, TransportError
 
-_FIRST_DELAY_S, _LONGEST_DELAY_S = 0.1, 2.0
+_FIRST_DELAY_S, _LONGEST_DELAY_S = 0.1, 0.5
 _LOOK_S = 0.1  # how often a silent port looks whether it shall stop
 _BLOCK = 65536  # [bytes]
 _FAILURES = (OSError, termios.error)  # pyserial lets the second one through

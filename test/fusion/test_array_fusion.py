@@ -139,3 +139,15 @@ def test_after_a_restart_the_old_motion_is_forgotten(rng):
 def test_process_noise_must_be_positive():
     with pytest.raises(ValueError, match='`jerk_sigma` must be positive, got 0'):
         ArrayFusionConfig(angular_acceleration_sigma=1.0, jerk_sigma=0.0)
+
+
+def test_where_nobody_is_trusted_nothing_is_learnt(rng):
+    bias = 0.05 * rng.standard_normal((4, 6))
+    readings = bias + [0, 0, 0, 0, 0, 9.81] + 1e-6 * rng.standard_normal((1000, 4, 6))
+    share = np.ones((1000, 4))
+    share[500:600] = 0.0
+    fusion = ArrayFusion(model_of(4, bias_sigma=0.05), CONFIG)
+    frames = [fusion.push(scan(n, z, share[n])) for n, z in enumerate(readings)]
+    assert all((frame is None) == (n in range(500, 600)) for n, frame in enumerate(frames))
+    # Seen before the cure: the offsets took in gravity.
+    assert_allclose(frames[600].values, frames[499].values, atol=1e-5)
