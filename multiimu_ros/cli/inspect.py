@@ -99,7 +99,7 @@ def inspect_track(track: ImuTrack) -> dict[str, Any]:
         'jitter_s': _spread(forward),
         'backward': int((steps < 0).sum()),
         'duplicate': int((steps == 0).sum()),
-        'not_finite': int((~np.isfinite(force)).sum()),
+        'not_finite': int((~np.isfinite(force + samples.angular_rate.sum(axis=1))).sum()),
         'saturated_rate': saturated(samples.angular_rate),
         'saturated_force': saturated(samples.specific_force),
         'median_force': _median(force),
@@ -112,12 +112,15 @@ def inspect_track(track: ImuTrack) -> dict[str, Any]:
 
 
 def saturated(vectors: Vectors) -> int:
-    """Return how many samples sit at an extreme of their axis that is reached again and again."""
+    """Return how many samples pile up at an extreme of their axis: more than one step before it."""
     count = 0
-    for axis in vectors.T:
-        for extreme in (axis.min(initial=0.0), axis.max(initial=0.0)):
-            hits = int((axis == extreme).sum()) if extreme else 0
-            count += hits if hits >= SATURATED else 0
+    for axis in (*vectors.T, *-vectors.T):
+        finite = axis[np.isfinite(axis)]
+        extreme = finite.max(initial=0.0)
+        hits = int((finite == extreme).sum()) if extreme else 0
+        inside = finite[finite < extreme].max(initial=-np.inf)
+        if hits >= SATURATED and hits > int((finite == inside).sum()):
+            count += hits
     return count
 
 

@@ -11,6 +11,13 @@ from multiimu_ros.nodes.inputs import ImuInput
 PATIENCE_S = 3.0
 ENOUGH = 10  # messages without one usable stamp
 IMU_TYPE = 'sensor_msgs/msg/Imu'
+MAKERS = {
+    'data_raw': 'the driver',
+    'data_calibrated': 'the calibration node',
+    'data_registered': 'the registration node',
+    'data': 'the fusion node',
+    'odom': 'the fusion node',
+}
 
 
 def explain_silence(node: Node, subscription: Subscription, malformed: int = 0) -> str:
@@ -59,7 +66,8 @@ def _explain_absence(node: Node, topic: str) -> str:
             f'`{topic}`: nobody publishes it, but `{similar[0]}` exists; '
             f'start this node with `--ros-args -r __ns:={space}`, or set `topics`.'
         )
-    return f'`{topic}`: nobody publishes it; start the driver, or set `topics`.'
+    maker = MAKERS.get(topic.rpartition('/')[2], 'its driver')
+    return f'`{topic}`: nobody publishes it; start {maker}, or set `topics`.'
 
 
 class SilenceWatch:

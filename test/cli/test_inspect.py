@@ -70,6 +70,16 @@ def test_stamps_on_the_clock_of_the_board_are_named(samples):
     assert 'are they the clock of the board' in complaints(samples, late_ns=7200 * 10**9)
 
 
+def test_coarse_readings_at_rest_are_not_saturated(rng):
+    # Noise of one step: the extremes come again, but less often than the step before them.
+    assert saturated(np.round(rng.standard_normal((5000, 3))) * 0.1 + [0.0, 0.0, 9.8]) == 0
+
+
+def test_a_rate_that_is_no_number_is_counted(samples):
+    samples.angular_rate[3:5] = np.nan
+    assert '2 readings are not finite' in complaints(samples)
+
+
 def test_both_ends_of_the_range_count_as_saturated():
     ramp = np.linspace(-1.0, 1.0, 100)[:, None] * np.ones(3)
     assert saturated(ramp) == 0
