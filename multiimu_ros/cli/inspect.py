@@ -112,7 +112,7 @@ def inspect_track(track: ImuTrack) -> dict[str, Any]:
 
 
 def saturated(vectors: Vectors) -> int:
-    """Return how many samples pile up at an extreme of their axis: more than one step before it."""
+    """Return how many samples pile up at an extreme: more than there are one step inside."""
     count = 0
     for axis in (*vectors.T, *-vectors.T):
         finite = axis[np.isfinite(axis)]
