@@ -20,7 +20,7 @@ from multiimu_ros.odometry.strapdown import curvature, increments
 from multiimu_ros.rotations import exp_so3, product, renormalise, right_jacobian, skew
 
 CREDIBLE_SQUARE = 16.0  # 4 sigma; beyond it a swinging foot that looks still for a moment
-LINEAR = 0.2  # [rad] of a larger sigma a linear filter makes turns out of the next second's noise
+LINEAR = 0.1  # [rad] of a larger sigma a linear filter makes turns out of the next second's noise
 CONFIRMED = 0.1  # [s] no swing looks still for longer, but a running stance does
 
 
@@ -233,7 +233,8 @@ def step(
         turn = curvature(memory[8:11], memory[:3], rate, memory[14], dt)
         push = curvature(memory[11:14], memory[3:6], force, memory[14], dt)
         if dt > OUTAGE:
-            _coast(x, R, P, dt * (0.5 * (memory[:3] + rate) - x[9:12]), dt)
+            phi = dt * (0.5 * (memory[:3] + rate) - x[9:12])
+            _coast(x, R, P, phi * (1.0 - memory[6]), dt)  # what rested most likely still does
         else:
             _move(
                 x, R, P, memory[:3] + turn, memory[3:6] + push, rate + turn, force + push,
