@@ -8,7 +8,8 @@ from multiimu_ros.transport.serial_port import SerialTransport
 from multiimu_ros.wire.board import Board
 from multiimu_ros.wire.packets import MODELS, PROTOCOL
 
-WINDOW_S = 0.9  # a fault must be named within a second
+WINDOW_S = 0.9
+SILENT_S = 0.5  # a fault must be named within a second
 SLOW = 0.9  # of the announced rate
 
 
@@ -18,22 +19,30 @@ class RateMeter:
     def __init__(self) -> None:
         self._counts: Counter[int] = Counter()
         self._rates: dict[int, float] = {}
+        self._heard: dict[int, float] = {}
         self._since: float | None = None
+        self._begin = self._now = 0.0
 
-    def note(self, imu: int) -> None:
+    def note(self, imu: int, now_s: float) -> None:
         """Count one sample."""
         self._counts[imu] += 1
+        self._heard[imu] = now_s
 
     def look(self, now_s: float) -> None:
         """Begin a new window at `now_s` if the present one is over."""
         if self._since is None:
-            self._since = now_s
+            self._begin = self._since = now_s
+        self._now = now_s
         elapsed = now_s - self._since
         if elapsed >= WINDOW_S:
             known = self._rates.keys() | self._counts.keys()
             self._rates = {imu: self._counts[imu] / elapsed for imu in known}
             self._counts.clear()
             self._since = now_s
+
+    def silent(self, imu: int) -> bool:
+        """Say whether an IMU has said nothing for `SILENT_S`, as of the last look."""
+        return self._now - self._heard.get(imu, self._begin) > SILENT_S
 
     def rate_hz(self, imu: int) -> float:
         """Return the rate of one IMU [Hz]."""
@@ -98,7 +107,7 @@ def _imu_status(board: Board, imu: int, model: str, rates: RateMeter, connected:
         failures, celsius = board.status.imus[imu]
         figures |= {'failed reads': failures, 'temperature [C]': celsius}
     level, message = OK, 'ok'
-    if not connected or rate == 0.0:
+    if not connected or rates.silent(imu):
         level, message = ERROR, 'silent'
     elif rate < SLOW * announced:
         level, message = WARN, 'slower than announced'

@@ -1,31 +1,23 @@
-"""ROS 2 node: a board on a serial port becomes `imu<k>/data_raw` and `imu<k>/temperature`.
+"""ROS 2 node: a board on a serial port becomes `imu<k>/data_raw` and `imu<k>/temperature`."""
 
-The transport's thread only queues bytes and wakes the executor; decoding and publishing happen on
-the executor's thread, so nothing here needs a lock.
-"""
-
-from collections import deque
 import time
 
 import numpy as np
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import Imu, Temperature
 
 from multiimu_ros.arrays import NANOSECONDS
 from multiimu_ros.nodes import convert
-from multiimu_ros.nodes.board_status import board_status, imu_statuses, RateMeter
-from multiimu_ros.nodes.diagnostics import Diagnostics, Status
+from multiimu_ros.nodes.diagnostics import Diagnostics
 from multiimu_ros.nodes.outputs import Output
 from multiimu_ros.nodes.parameters import declare, warn_about_unused
 from multiimu_ros.nodes.run import run
-from multiimu_ros.transport.capture import CaptureWriter
-from multiimu_ros.transport.serial_port import SerialTransport
-from multiimu_ros.wire.board import Board, RawSample
+from multiimu_ros.nodes.serial_input import declare_port, SerialInput
+from multiimu_ros.wire.board import RawSample
+from multiimu_ros.wire.packets import Hello, Status as BoardStatus
 
-REQUEST_S = 1.0
-BOOTLOADER_S = 2.0  # a Mega that hears something during it does not start
+MATCHING_S = 0.2  # from HELLO until those who wait for the topics have found them
 
 
 class DriverNode(Node):
@@ -33,24 +25,19 @@ class DriverNode(Node):
 
     def __init__(self, parameters: list[Parameter] | None = None) -> None:
         super().__init__('driver', parameter_overrides=parameters)
-        self._board = Board()
-        self._rates = RateMeter()
         self._outputs: dict[int, tuple[Output, convert.StampedEncoder]] = {}
         self._temperatures: dict[int, Output] = {}
-        self._queue: deque[tuple[int, bytes | None]] = deque()
-        self._woken = False
-        self._connected_at, self._heard = 0.0, False
-        self._last_status = self._board.status
-        self._declare_and_open()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(REQUEST_S, self._request, clock=steady)
+        self._held: list[RawSample] = []
+        self._publish_from = 0.0
+        self._hello: Hello | None = None
+        self._status: BoardStatus | None = None
+        self._declare_message()
+        port, usb_serial = declare_port(self)
+        self.input = SerialInput(self, port, usb_serial, self._on_samples)
+        self.diagnostics = Diagnostics(self, usb_serial or port, self.input.statuses)
         warn_about_unused(self)
-        self._transport.start()
 
-    def _declare_and_open(self) -> None:
-        port = declare(self, 'port', '', 'device path of the serial port')
-        usb = declare(self, 'usb_serial', '', 'serial number of the USB device, instead of `port`')
-        baud = declare(self, 'baud', 500_000, 'symbols per second', low=1)
+    def _declare_message(self) -> None:
         self._frame = declare(self, 'frame_id', 'imu{k}_link', 'frame of IMU number {k}')
         rate_sigma = declare(
             self, 'angular_velocity_stddev', 0.0, 'of one reading [rad/s]; 0 is unknown', low=0.0
@@ -58,62 +45,39 @@ class DriverNode(Node):
         force_sigma = declare(
             self, 'linear_acceleration_stddev', 0.0, 'of one reading [m/s^2]; 0: unknown', low=0.0
         )
-        self._numbers = np.zeros(convert.IMU_NUMBERS)
-        self._numbers[:13] = convert.NO_ORIENTATION
-        self._numbers[convert.RATE_COVARIANCE] = np.eye(3).ravel() * rate_sigma**2
-        self._numbers[convert.FORCE_COVARIANCE] = np.eye(3).ravel() * force_sigma**2
-        path = declare(self, 'capture_file', '', 'where to keep the bytes as they came; or empty')
-        self._transport = SerialTransport(
-            self._on_block, port=port, usb_serial=usb, baud=baud, on_connect=self._on_connect
-        )
-        self._capture = CaptureWriter(path) if path else None
-        self.diagnostics = Diagnostics(self, usb or port, self._report)
+        self._numbers = convert.imu_numbers(np.eye(3) * rate_sigma**2, np.eye(3) * force_sigma**2)
 
-    def _on_block(self, arrival_ns: int, data: bytes | None) -> None:
-        self._queue.append((arrival_ns, data))
-        # The events executor knows no guard conditions; a task wakes every executor.
-        if not self._woken and self.executor is not None:
-            self._woken = True
-            self.executor.create_task(self._on_bytes)
-
-    def _on_connect(self) -> None:
-        self._on_block(0, None)
-
-    def _on_bytes(self) -> None:
-        self._woken = False  # before the queue is emptied: what comes later wakes again
-        while self._queue:
-            arrival_ns, data = self._queue.popleft()
-            if data is None:
-                self._board.reconnect()
-                self._connected_at, self._heard = time.monotonic(), False
-                continue
-            if self._capture:
-                self._capture.write(arrival_ns, data)
-            samples = self._board.push(data, arrival_ns)
-            for sample in samples:
+    def _on_samples(self, samples: list[RawSample], arrival_ns: int) -> None:
+        board = self.input.board
+        if board.hello is not None and board.hello is not self._hello:
+            self._advertise(board.hello)
+        self._held += samples
+        if samples and time.monotonic() >= self._publish_from:
+            for sample in self._held:
                 self._publish(sample)
-            if samples:
-                self.diagnostics.latency.note(samples[-1].stamp_ns)
-            if not self._heard:
-                self._heard = True
-                self._request()
-            if self._board.status is not self._last_status:
-                self._publish_temperatures(arrival_ns)
+            self._held.clear()
+            self.diagnostics.latency.note(samples[-1].stamp_ns)
+        if board.status is not None and board.status is not self._status:
+            self._publish_temperatures(board.status, arrival_ns)
+
+    def _advertise(self, hello: Hello) -> None:
+        """Open the topics of those IMUs that are new; what they say is held until then."""
+        self._hello = hello
+        for imu in {info.imu for info in hello.imus} - self._outputs.keys():
+            encoder = convert.StampedEncoder(self._frame.replace('{k}', str(imu)))
+            self._outputs[imu] = Output(self, Imu, f'imu{imu}/data_raw'), encoder
+            self._publish_from = time.monotonic() + MATCHING_S
 
     def _publish(self, sample: RawSample) -> None:
         imu, stamp_ns, values = sample
-        self._rates.note(imu)
-        if imu not in self._outputs:
-            encoder = convert.StampedEncoder(self._frame.replace('{k}', str(imu)))
-            self._outputs[imu] = Output(self, Imu, f'imu{imu}/data_raw'), encoder
         output, encoder = self._outputs[imu]
         if output.wanted:
             self._numbers[convert.RATE], self._numbers[convert.FORCE] = values[:3], values[3:]
             output.send(encoder.encode(stamp_ns, self._numbers))
 
-    def _publish_temperatures(self, arrival_ns: int) -> None:
-        status = self._last_status = self._board.status
-        for imu, (_, celsius) in status.imus.items() if status else ():
+    def _publish_temperatures(self, status: BoardStatus, arrival_ns: int) -> None:
+        self._status = status
+        for imu, (_, celsius) in status.imus.items():
             if np.isnan(celsius):
                 continue
             if imu not in self._temperatures:
@@ -124,21 +88,9 @@ class DriverNode(Node):
             stamp.sec, stamp.nanosec = divmod(arrival_ns, NANOSECONDS)
             self._temperatures[imu].send(msg)
 
-    def _request(self) -> None:
-        awake = self._heard or time.monotonic() - self._connected_at > BOOTLOADER_S
-        if self._transport.connected and awake:
-            self._transport.write(self._board.requests(self._transport.now_ns()))
-
-    def _report(self) -> list[Status]:
-        self._rates.look(time.monotonic())
-        link = board_status(self._board, self._transport)
-        return [link, *imu_statuses(self._board, self._rates, connected=self._transport.connected)]
-
     def destroy_node(self) -> None:
         """Close the port first: its thread must not wake a node that is gone."""
-        self._transport.stop()
-        if self._capture:
-            self._capture.close()
+        self.input.close()
         super().destroy_node()
 
 

@@ -57,6 +57,13 @@ class ImuInput:
         self.stamps_ns: deque[int] = deque(maxlen=100)
         self._noticed = 0
 
+    def take(self, stamp_ns: int) -> None:
+        """Note a usable message."""
+        self.received += 1
+        self.stamps_ns.append(stamp_ns)
+        if self.received == FIRST_RATE:
+            self.measure_rate()
+
     def measure_rate(self) -> None:
         """Work out the rate; called now and then."""
         if len(self.stamps_ns) >= FIRST_RATE:
@@ -113,13 +120,11 @@ class ImuInputs:
 
     def _on_data(self, k: int, stream: ImuInput, data: bytes) -> None:
         reading = self._decode(data)
-        stream.received += 1
         if reading is None or reading[0] <= 0:
+            stream.received += 1
             stream.malformed += 1
             return
-        stream.stamps_ns.append(reading[0])
-        if stream.received == FIRST_RATE:
-            stream.measure_rate()
+        stream.take(reading[0])
         self._on_reading(k, *reading)
 
 

@@ -6,18 +6,20 @@ only while somebody subscribes to them.
 
 from collections.abc import Sequence
 
+import numpy as np
 from sensor_msgs.msg import Imu
 
 from multiimu_ros.nodes.calibration import Calibrator
+from multiimu_ros.nodes.convert import imu_numbers, RATE_AND_FORCE
 from multiimu_ros.nodes.diagnostics import Status
 from multiimu_ros.nodes.fusion import FusionNode
 from multiimu_ros.nodes.inputs import ImuInput
 from multiimu_ros.nodes.outputs import Output
-from multiimu_ros.nodes.parameters import declare
 from multiimu_ros.nodes.registration import Registrar
 from multiimu_ros.nodes.run import run
-from multiimu_ros.nodes.serial_input import SerialInput
+from multiimu_ros.nodes.serial_input import declare_port, SerialInput
 from multiimu_ros.nodes.stage import send_finite
+from multiimu_ros.wire.board import RawSample
 
 
 class PipelineNode(FusionNode):
@@ -32,13 +34,33 @@ class PipelineNode(FusionNode):
         self._calibrator, self._registrar = Calibrator(self.rig), Registrar(self.rig)
         self._calibrated = [Output(self, Imu, f'{name}/data_calibrated') for name in names]
         self._registered = [Output(self, Imu, f'{name}/data_registered') for name in names]
-        port = declare(self, 'port', '', 'serial port of the board; empty: read topics instead')
-        self._serial = SerialInput(self, self.rig, port, self.on_reading) if port else None
-        return self._serial.streams if self._serial else super().open_inputs(suffix)
+        port, usb_serial = declare_port(self)
+        self._serial: SerialInput | None = None
+        if not (port or usb_serial):
+            return super().open_inputs(suffix)
+        streams = [ImuInput(f'{port or usb_serial}, IMU {k}') for k in range(len(names))]
+        self._raw = [Output(self, Imu, f'{name}/data_raw') for name in names]
+        self._raw_numbers = imu_numbers(np.zeros((3, 3)), np.zeros((3, 3)))
+        self._serial = SerialInput(self, port, usb_serial, self._on_samples)
+        return streams
+
+    def _on_samples(self, samples: list[RawSample], _: int) -> None:
+        for k, stamp_ns, values in samples:
+            if k >= len(self._raw):
+                continue  # the board has more IMUs than the rig file
+            frame_id = self.rig.imus[k].frame_id
+            self.streams[k].take(stamp_ns)
+            if self._raw[k].wanted:
+                self._raw_numbers[RATE_AND_FORCE] = values
+                send_finite(self._raw[k], (stamp_ns, frame_id, self._raw_numbers))
+            self.on_reading(k, stamp_ns, frame_id, values)
 
     def report(self) -> list[Status]:
-        """Add the status of the port, where it is read."""
-        return [*([self._serial.status()] if self._serial else []), *super().report()]
+        """Add the statuses of the board, where its port is read."""
+        if self._serial is None:
+            return super().report()
+        link, *_ = self._serial.statuses()  # of the IMUs fusion knows more
+        return [link, *super().report()]
 
     def destroy_node(self) -> None:
         """Close the port first: its thread must not wake a node that is gone."""
