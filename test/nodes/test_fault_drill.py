@@ -1,0 +1,42 @@
+"""Faults, live: the fused output goes on, the faulty IMU is named, and nothing jumps."""
+
+import sys
+
+from fault_drill import board_drill, not_a_number_drill, table
+import pytest
+from ros_helpers import ros_peer
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+PATIENCE_MS = 50.0  # of the synchroniser with an IMU that falls silent
+MACHINE_MS = 60.0  # two cores, six processes
+BACK_S = 1.0 + 0.5  # the port is tried every 0.5 s; probation and full share take as long
+
+
+def judge(outcomes):
+    """Check what every fault has to keep to; the table is shown where it does not."""
+    shown = table(outcomes)
+    sys.stdout.write(shown)
+    for each in outcomes:
+        assert each.named_s < 1.0, shown
+        assert each.over_s < BACK_S, shown
+        assert each.step_sigmas < 5.0, shown
+        assert each.position_mm < 10.0, shown
+        assert each.turn_deg < 0.2, shown
+
+
+def test_a_board_survives_its_faults(tmp_path):
+    with ros_peer() as peer:
+        outcomes, _ = board_drill(peer, tmp_path)
+    judge(outcomes)
+    for each in outcomes[:-1]:
+        assert each.pause_ms < PATIENCE_MS + MACHINE_MS, table(outcomes)
+        assert each.missing_ms < 10.0, table(outcomes)  # two periods: no scan is lost
+    assert outcomes[-1].pause_ms < 1e3 * (2.0 + BACK_S), table(outcomes)
+
+
+def test_not_a_number_is_named_and_never_fused(tmp_path):
+    with ros_peer() as peer:
+        outcome = not_a_number_drill(peer, tmp_path)
+    judge([outcome])
+    assert outcome.pause_ms < PATIENCE_MS + MACHINE_MS, table([outcome])
