@@ -17,17 +17,17 @@ KERNELS := $(wildcard test/test_rotations.py test/calibration test/registration 
 	test/synchronization test/fusion test/odometry test/wire test/pipeline)
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test check static bench clean
+.PHONY: help install kernels demo test check static bench clean
 
 help:  ## say what there is
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
 
-install: $(READY)  ## build the virtual environment in .venv
+install: kernels  ## build the virtual environment in .venv
 
 demo: $(READY)  ## eight emulated IMUs become one: live table, HTML report
 	$(BIN)/multiimu demo
 
-test: static  ## everything: linters, types, imports, all tests with branch coverage
+test: static kernels  ## everything: linters, types, imports, all tests with branch coverage
 	@rm -f .coverage
 	@echo '== 1/3 core, compiled, two at a time'
 	$(COVERED) -n 2 -m 'not ros'
@@ -37,7 +37,7 @@ test: static  ## everything: linters, types, imports, all tests with branch cove
 	MULTIIMU_COMPILED=0 $(COVERED) -n 2 -m 'not ros and not slow and not realdata' $(KERNELS)
 	$(BIN)/python -m coverage report --skip-covered
 
-check: static  ## the four of pre-commit, with the quick tests only
+check: static kernels  ## the four of pre-commit, with the quick tests only
 	$(PYTEST) -n 2 -m 'not ros and not slow and not realdata'
 
 static: $(READY)
@@ -45,6 +45,11 @@ static: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Before two workers, or four nodes, compile the same kernels at once.
+kernels: $(READY)
+	@echo 'Compiling the kernels, if they are new to this machine ...'
+	@$(BIN)/python examples/pipeline_in_a_loop.py
 
 bench: $(READY)  ## microseconds per fused frame; latency and CPU of the live graph
 	$(BIN)/multiimu bench
@@ -61,6 +66,4 @@ $(READY): requirements.txt requirements-dev.txt setup.py
 		{ echo 'Install the venv module: `apt-get install python3-venv`.'; exit 1; }
 	$(BIN)/python -m pip install -qq -r requirements-dev.txt
 	$(BIN)/python -m pip install -qq --no-build-isolation --no-deps --editable .
-	@echo 'Compiling the kernels once, so that the first node need not wait ...'
-	$(BIN)/python examples/pipeline_in_a_loop.py
 	@touch $@

@@ -75,8 +75,10 @@ def fuse_scan(
     )
     out = np.zeros((4, 6))
     out[0], out[1] = known, variance * _interpolation_gain(b, R, noise_gain)
-    if np.isfinite(gain):  # a x r errs with the variance of the angular acceleration
-        out[1, 3:] += gain * P.max() * (mean_arm * mean_arm).sum()
+    worst = P.max()
+    # a x r errs with the variance of the angular acceleration
+    if np.isfinite(gain) and np.isfinite(worst):
+        out[1, 3:] += gain * worst * (mean_arm * mean_arm).sum()
     weights = (b[:, 0] + b[:, 1] + b[:, 2]) / 3.0
     if weights.any():
         _align(model, state, z, b, dt, share, out)

@@ -82,6 +82,7 @@ def test_every_covariance_is_true():
     assert all(0.8 < value < 1.2 for value in mean.values()), mean
 
 
+@pytest.mark.slow  # where nothing is compiled
 @pytest.mark.parametrize('stage', ['calibrated', 'registered'])
 def test_every_entrance_leads_to_the_same_frames(stage):
     _, simulated, rig = recording()
@@ -109,12 +110,14 @@ def test_every_scan_of_the_reference_becomes_a_frame():
     assert pipeline.empty_scans == 0
 
 
+@pytest.mark.slow  # where nothing is compiled
 def test_two_runs_are_bit_identical():
     _, simulated, rig = recording()
     once, twice = (run(Pipeline(rig, PipelineConfig()), simulated.raw) for _ in range(2))
     assert np.array_equal(stacked(once, 'record'), stacked(twice, 'record'))
 
 
+@pytest.mark.slow  # where nothing is compiled
 def test_a_reset_starts_anew():
     _, simulated, rig = recording()
     pipeline = Pipeline(rig, PipelineConfig())
