@@ -77,9 +77,7 @@ def main(megabytes=100.0, seed=20260711):
         sent_total, damaged_total = sent_total + len(sent), damaged_total + damaged
     print(f'{decoder.bytes / 1e6:.1f} MB in {spent:.1f} s: {decoder.bytes / 1e6 / spent:.1f} MB/s')
     print(f'intact frames sent {sent_total}, packets accepted {decoder.frames}')
-    print(
-        f'damaged pieces {damaged_total}: chance that one passed {damaged_total * ESCAPE:.0e}'
-    )
+    print(f'damaged pieces {damaged_total}: chance that one passed {damaged_total * ESCAPE:.0e}')
     print(f'crc errors {decoder.crc_errors}, cobs errors {decoder.cobs_errors}')
     print('every intact frame and no other' if not wrong else f'WRONG in {wrong} batches')
     return 1 if wrong else 0
