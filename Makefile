@@ -44,7 +44,7 @@ static: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/lint-imports
+	$(BIN)/lint-imports --no-logo
 
 # Before two workers, or four nodes, compile the same kernels at once.
 kernels: $(READY)
