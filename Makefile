@@ -55,8 +55,8 @@ bench: $(READY)  ## microseconds per fused frame; latency and CPU of the live gr
 	$(BIN)/multiimu bench
 
 clean:  ## remove the virtual environment and everything that was built
-	rm -rf $(VENV) build install log out *.egg-info .coverage .pytest_cache .mypy_cache \
-		.ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) .venv-312 build install log out *.egg-info .coverage .pytest_cache \
+		.mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 $(READY): requirements.txt requirements-dev.txt setup.py
