@@ -1,6 +1,7 @@
 """What every test may rely on: a seeded generator, hypothesis profiles, an own ROS domain."""
 
 import os
+import zlib
 
 from hypothesis import settings
 import numpy as np
@@ -11,7 +12,10 @@ settings.register_profile('ci', derandomize=True, deadline=None, print_blob=True
 settings.register_profile('dev', deadline=None)
 settings.load_profile(os.environ.get('HYPOTHESIS_PROFILE', 'dev'))
 
-FIRST_DOMAIN = 60  # above 101 the DDS ports would fall among Linux's ephemeral ones
+# Another domain in each run: what a killed process leaves behind in shared memory may deafen the
+# next one in its domain.  Above 101 the DDS ports would fall among Linux's ephemeral ones.
+RUN = os.environ.get('PYTEST_XDIST_TESTRUNUID', str(os.getpid()))
+FIRST_DOMAIN = 1 + zlib.crc32(RUN.encode()) % 60
 WORKER = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0').removeprefix('gw'))
 
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
