@@ -46,6 +46,8 @@ def run(arrangement: str, rate: float, seconds: float, folder: Path) -> dict[str
     with Children(folder, environment) as children:
         for name in nodes:
             parameters = ['--ros-args', '-p', f'rig_file:={rig}']
+            if arrangement == 'graph':  # two hops more that may lose something
+                parameters += ['-p', 'reliable:=true']
             children.start(name, f'multiimu_ros.nodes.{name}', parameters)
         for role in ('receive', 'echo'):
             children.start(role, 'benchmarks.peer', [role, str(folder)])

@@ -132,7 +132,7 @@ def _start_board(run: LiveRun, children: Children) -> None:
 
 def _start_graph(run: LiveRun, children: Children) -> None:
     """Start all nodes, and wait until they have found each other."""
-    parameter = ['--ros-args', '-p', f'rig_file:={run.rig}']
+    parameter = ['--ros-args', '-p', f'rig_file:={run.rig}', '-p', 'reliable:=true']
     for name in STAGES:
         extra = ['-p', f'profile:={run.profile}'] if name == 'fusion' else []
         children.start(name, f'multiimu_ros.nodes.{name}', parameter + extra)

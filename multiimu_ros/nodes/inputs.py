@@ -18,6 +18,7 @@ from multiimu_ros.rig import load_rig, Rig
 
 DEPTH = 500  # half a second at 1 kHz, for the moments in which the machine does something else
 QOS = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
+RELIABLE_QOS = QoSProfile(depth=DEPTH, reliability=ReliabilityPolicy.RELIABLE)
 FIRST_RATE = 10  # so many stamps give a first idea of the rate
 
 
@@ -106,12 +107,18 @@ class ImuInputs:
         self.streams = [ImuInput(topic) for topic in declare_topics(node, rig, suffix)]
         self._decode = decode
         self._on_reading = on_reading
+        reliable = declare(
+            node,
+            'reliable',
+            False,
+            'have lost messages sent again; the publishers must then be reliable, as ours are',
+        )
         self.subscriptions = [
             node.create_subscription(
                 Imu,
                 stream.topic,
                 partial(self._on_data, k, stream),
-                QOS,
+                RELIABLE_QOS if reliable else QOS,
                 raw=True,
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )

@@ -42,11 +42,10 @@ def test_another_type(rig_file):
     assert 'its type must be sensor_msgs/msg/Imu, got std_msgs/msg/String' in text
 
 
-def test_reliable_asked_of_a_best_effort_publisher(rig_file):
+@pytest.mark.parametrize('parameter', [{RELIABLE: 'reliable'}, {'reliable': 'true'}])
+def test_reliable_asked_of_a_best_effort_publisher(rig_file, parameter):
     qos = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-    text = reason(
-        rig_file, lambda peer: peer.publisher('/imu0/data_raw', Imu, qos), **{RELIABLE: 'reliable'}
-    )
+    text = reason(rig_file, lambda peer: peer.publisher('/imu0/data_raw', Imu, qos), **parameter)
     assert 'the QoS of /peer does not fit' in text
 
 
