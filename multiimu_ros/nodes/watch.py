@@ -73,6 +73,8 @@ def _explain_absence(node: Node, topic: str) -> str:
 class SilenceWatch:
     """Log once, for each topic that stays silent for 3 s, the reason.
 
+    And once more when it changes: discovery may take longer than these 3 s.
+
     Parameters
     ----------
     streams, subscriptions : sequences
@@ -84,7 +86,7 @@ class SilenceWatch:
     ) -> None:
         self._node = node
         self._pairs = list(zip(streams, subscriptions, strict=True))
-        self._told: set[str] = set()
+        self._told: dict[str, str] = {}  # reason by topic, without its numbers
 
     def check(self, log: Callable[[str], object]) -> None:
         """Look at every topic; called every now and then."""
@@ -93,10 +95,13 @@ class SilenceWatch:
             unusable = stream.malformed if stream.malformed == stream.received else 0
             if stream.silent_s() < PATIENCE_S and unusable < ENOUGH:
                 if not unusable:
-                    self._told.discard(stream.topic)
-            elif stream.topic not in self._told:
-                self._told.add(stream.topic)
-                news.append((subscription, unusable))
+                    self._told.pop(stream.topic, None)
+                continue
+            reason = explain_silence(self._node, subscription, unusable)
+            kind = ''.join(letter for letter in reason if not letter.isdigit())
+            if self._told.get(stream.topic) != kind:
+                self._told[stream.topic] = kind
+                news.append(reason)
         if news:
             more = f' (And {len(news) - 1} more topics.)' if len(news) > 1 else ''
-            log(explain_silence(self._node, *news[0]) + more)
+            log(news[0] + more)
