@@ -16,6 +16,7 @@ from multiimu_ros.simulation.paths import Path, stepper_move, through
 REST_FIRST = 4.0  # [s] of rest before any motion: filters initialise, biases are measured
 HAND_POSITION_RMS = 0.1  # [m] per axis
 HAND_ANGLE_RMS = 0.35  # [rad] per axis
+POSE_TIME, MOVE_TIME = 4.0, 3.0  # [s] in one pose of a calibration, and from pose to pose
 
 
 def _static(duration: float, rng: np.random.Generator) -> Path:
@@ -95,11 +96,56 @@ def _swell(time: np.ndarray, ramp: float = 1.0) -> tuple[np.ndarray, np.ndarray,
     return value[:, :1], first[:, :1], second[:, :1]
 
 
+def _calibration(duration: float, rng: np.random.Generator) -> Path:
+    """Rest, lay the board into pose after pose, wave it about: what a calibration asks for."""
+    rest = max(REST_FIRST, 0.05 * duration)
+    waving = 0.2 * duration
+    poses = int((duration - rest - waving) / (POSE_TIME + MOVE_TIME))
+    return calibration_path(poses, rng, rest=rest, waving=waving)
+
+
+def calibration_path(
+    poses: int,
+    rng: np.random.Generator,
+    *,
+    rest: float = 10.0,
+    pose: float = POSE_TIME,
+    waving: float = 60.0,
+) -> Path:
+    """Return a rest, `poses` still poses all over the sphere, and a time of waving about.
+
+    Parameters
+    ----------
+    poses : int
+        How many; their "up" directions lie on a Fibonacci lattice, in random order.
+    rng : Generator
+        Draws order, places, and the waving.
+    rest, pose, waving : float
+        Length of the first rest, of each pose and of the waving [s]; moves take 3 s.
+    """
+    index = rng.permutation(poses)
+    up_x = 1 - (2 * index + 1) / max(poses, 1)
+    azimuth = np.pi * (1 + np.sqrt(5)) * index
+    # With R_nb = Rz Ry Rx the third row, "up" in the sensor, is [-sp, sr cp, cr cp].
+    roll = np.unwrap(np.concatenate(([0.0], azimuth)))
+    pitch = np.concatenate(([0.0], np.arcsin(-up_x)))
+    yaw = np.concatenate(([0.0], rng.uniform(-1.5, 1.5, poses)))
+    place = np.vstack((np.zeros(3), rng.uniform(-0.15, 0.15, (poses, 3))))
+    value = np.repeat(np.column_stack((place, roll, pitch, yaw)), 2, axis=0)
+    begin = rest + MOVE_TIME + (pose + MOVE_TIME) * np.arange(poses)
+    time = np.concatenate(([0.0, rest], np.column_stack((begin, begin + pose)).ravel()))
+    path = Path(time, value, np.zeros_like(value), np.zeros_like(value))
+    for start in np.arange(time[-1], time[-1] + waving - 5.0, 10.0):
+        path += _bout(start + 0.5, min(start + 9.5, time[-1] + waving - 0.5), rng)
+    return path
+
+
 MOTIONS: dict[str, Callable[[float, np.random.Generator], Path]] = {
     'static': _static,
     'turntable': _turntable,
     'slider': _slider,
     'hand': _hand,
+    'calibration': _calibration,
     'foot': lambda duration, rng: walk(duration, REST_FIRST, rng),
 }
 
@@ -112,7 +158,7 @@ def trajectory(
     Parameters
     ----------
     name : str
-        `static`, `turntable`, `slider`, `hand` or `foot`.
+        `static`, `turntable`, `slider`, `hand`, `foot` or `calibration`.
     duration : float
         Length of the recording [s]; the motion starts after 4 s and is over in time.
     seed : int
