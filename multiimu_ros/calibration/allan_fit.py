@@ -229,4 +229,4 @@ def _inverse(information: Matrix) -> Matrix:
     """Invert, with the unknowns scaled to like size first."""
     scale = 1 / np.sqrt(np.diag(information))
     both = np.outer(scale, scale)
-    return np.asarray(np.linalg.inv(information * both) * both, np.float64)
+    return np.multiply(np.linalg.inv(information * both), both, dtype=np.float64)

@@ -2,15 +2,18 @@
 
 White noise (`noise_density`, N), flicker (`bias_instability`, B) and the driving noise of the
 bias (`bias_random_walk`, K) are three terms of the Allan fit and never stand in for each other.
-What one axis cannot tell, the axes that cannot tell may say together: their mean square is then
-the value of each, with the sigma of that mean.  What they cannot say either stays out.
+What one axis cannot tell, the three may tell together: their mean square is then its value, with
+the sigma of that mean.  Where the axes evidently differ, only those that cannot tell are averaged.
+What they cannot tell together either stays out.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import welch
+from scipy.stats import chi2
 
 from multiimu_ros.arrays import as_vectors, Scalars, Vectors
 from multiimu_ros.calibration.allan import allan_curve, AllanCurve
@@ -22,6 +25,7 @@ from multiimu_ros.samples import ImuSamples
 
 TRIADS = ('gyroscope', 'accelerometer')
 BLOCKS = {'noise_density': 'N', 'bias_instability': 'B', 'bias_random_walk': 'K'}
+UNLIKE = 0.01  # p-value below which axes differ
 SEGMENTS = 16  # of the record in a Welch spectrum, half overlapping
 KALIBR = {'noise_density': 'N', 'random_walk': 'K'}
 KALIBR_UNITS = {
@@ -43,7 +47,7 @@ class TriadNoise:
     fits : tuple of AllanFit
         x, y, z.
     shared : dict
-        By letter, what the axes that alone cannot tell say together.
+        By letter, what holds for the axes that alone cannot tell.
     """
 
     curve: AllanCurve
@@ -141,11 +145,23 @@ def triad_noise(values: Vectors, rate_hz: float) -> TriadNoise:
     for letter in TERMS:
         silent = [fit for fit in (x, y, z) if not fit.terms[letter].determined]
         if silent:
-            shared[letter] = _mean_term(silent, letter)
+            shared[letter] = _mean_term((x, y, z) if _alike((x, y, z), letter) else silent, letter)
     return TriadNoise(curve, (x, y, z), shared)
 
 
-def _mean_term(fits: list[AllanFit] | tuple[AllanFit, ...], letter: str) -> Term:
+def _alike(fits: Sequence[AllanFit], letter: str) -> bool:
+    """Say whether a term may be the same on all axes, by the scatter of their estimates.
+
+    The mean of only those that came out too small to be told would be too small as well.
+    """
+    index = TERMS.index(letter)
+    squares = np.array([fit.free[index] for fit in fits])
+    variances = np.array([fit.covariance[index, index] for fit in fits])
+    scatter = float(np.sum((squares - squares.mean()) ** 2 / variances))
+    return bool(chi2(len(fits) - 1).sf(scatter) > UNLIKE)
+
+
+def _mean_term(fits: Sequence[AllanFit], letter: str) -> Term:
     """Return the root mean square of a term over axes, whose noise is independent."""
     index = TERMS.index(letter)
     square = float(np.mean([fit.free[index] for fit in fits]))
