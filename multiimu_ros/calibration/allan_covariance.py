@@ -60,7 +60,7 @@ class CovarianceBasis:
         Parameters
         ----------
         squares : (5,) array
-            Q^2, N^2, B^2, K^2, R^2 in SI.
+            Q^2, N^2, B^2, K^2, R^2 in SI; the first may be negative.
         rate_hz : float
             Sampling rate [Hz].
         factor : (P,) int array

@@ -3,9 +3,11 @@
     sigma^2(tau) = 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3 + R^2 tau^2 / 2
 
 quantisation, random walk of angle or velocity (white noise), bias instability (flicker; flat at
-0.664 B), random walk of the bias, and ramp [1]_.  It is linear in the squares, none of which is
-negative.  The fit weights with the full covariance under its own result, iterated
-(`allan_covariance`), so that its sigmas hold although the points share their samples.
+0.664 B), random walk of the bias, and ramp [1]_.  It is linear in the squares.  None is negative
+but that of Q: what a low-pass filter takes from white noise goes with 1 / tau^2 too, once tau is
+longer than the filter; N is then still that below the filter's edge.  The fit weights with the
+full covariance under its own result, iterated (`allan_covariance`), so that its sigmas hold
+although the points share their samples.
 
 All five are always in the model: a term that is left out shrinks the sigmas of its neighbours and
 shifts them.  A term that is not twice its sigma is NaN, with the most that it can be and the
@@ -72,7 +74,7 @@ class AllanFit:
     terms : dict
         Term by letter.
     squares : (5,) array
-        Fitted Q^2, N^2, B^2, K^2, R^2, none negative.
+        Fitted Q^2, N^2, B^2, K^2, R^2, none but the first negative.
     free : (5,) array
         The same without that bound: unbiased, for means over axes.
     covariance : (5, 5) array
@@ -113,7 +115,7 @@ def deviation_band(deviation: Scalars, dof: Scalars, level: float = 0.95) -> tup
 def fit_allan(curve: AllanCurve, axis: int) -> AllanFit:
     """Fit the five terms to one axis of a curve.
 
-    Where they do not explain the points, as under the low-pass filter of a sensor, the shortest
+    Where they do not explain the points, as within the low-pass filter of a sensor, the shortest
     averaging times up to 0.1 s are left out, one after the other, until they do.
     """
     basis = covariance_basis(curve.count)
@@ -129,10 +131,9 @@ class _Fit:
     """Generalised least squares with non-negative squares, from averaging time `first` on."""
 
     def __init__(self, curve: AllanCurve, axis: int, basis: CovarianceBasis, first: int) -> None:
-        self._curve, self._basis, self._first = curve, basis, first
+        self._curve, self._basis = curve, basis
         self._factor = curve.factor[first:]
         self._variance = curve.deviation[first:, axis] ** 2
-        self._all = curve.deviation[:, axis] ** 2
         self._solve()
 
     def _solve(self) -> None:
@@ -141,17 +142,14 @@ class _Fit:
         relative = self._factor / self._curve.count  # nearly the variance of a white one's
         covariance = np.diag(self._variance**2 * relative)
         for _ in range(ROUNDS):
-            L = _root(covariance)
-            design, points = np.linalg.solve(L, model), np.linalg.solve(L, self._variance)
-            scale = np.linalg.norm(design, axis=0)
-            self.squares = nnls(design / scale, points)[0] / scale
+            design, points = _whiten(covariance, model), _whiten(covariance, self._variance)
+            self.squares = _bounded(design, points)
             covariance = self._basis.covariance(self.squares, rate, self._factor)
-        L = _root(covariance)
-        design, points = np.linalg.solve(L, model), np.linalg.solve(L, self._variance)
+        design, points = _whiten(covariance, model), _whiten(covariance, self._variance)
         self.information = design.T @ design
         self.free = _inverse(self.information) @ design.T @ points
-        dof = len(points) - len(TERMS)
-        square = float(np.sum((points - design @ self.free) ** 2))
+        dof = len(points) - int((self.squares != 0).sum())  # a bound that binds is no freedom
+        square = float(np.sum((points - design @ self.squares) ** 2))
         self.p_value = float(chi2(dof).sf(square))
         self.misfit = square / dof
 
@@ -160,8 +158,9 @@ class _Fit:
         spread = max(1.0, self.misfit) if self.p_value < MISFIT else 1.0
         covariance = spread * _inverse(self.information)
         whole = covariance_basis(self._curve.count)
-        scatter = whole.covariance(self.squares, self._curve.rate_hz, self._curve.factor)
-        expected = shapes(self._curve.tau) @ self.squares
+        noisy = np.maximum(self.squares, 0.0)
+        scatter = whole.covariance(noisy, self._curve.rate_hz, self._curve.factor)
+        expected = shapes(self._curve.tau) @ noisy
         return AllanFit(
             terms={name: self._term(k, covariance, spread) for k, name in enumerate(TERMS)},
             squares=self.squares,
@@ -180,13 +179,13 @@ class _Fit:
         for _ in range(ROUNDS):  # a larger term scatters more itself
             squares[index] = most
             sigma = np.sqrt(spread) * self._sigma(index, squares, self._curve.rate_hz)
-            most = float(self.squares[index] + SIGNIFICANT * sigma)
+            most = float(max(self.squares[index], 0.0) + SIGNIFICANT * sigma)
         return Term(math.nan, math.nan, 0.0, math.sqrt(most), self._needed(index, most))
 
     def _sigma(self, index: int, squares: Vector, rate: float) -> float:
         """Return the sigma of one square if `squares` were true and the rate another."""
         covariance = self._basis.covariance(squares, rate, self._factor)
-        design = np.linalg.solve(_root(covariance), shapes(self._factor / rate))
+        design = _whiten(covariance, shapes(self._factor / rate))
         return float(np.sqrt(_inverse(design.T @ design)[index, index]))
 
     def _needed(self, index: int, square: float) -> float:
@@ -220,13 +219,24 @@ def term_of(square: float, sigma: float) -> Term:
     return Term(value, sigma / (2 * value), low, value * math.sqrt(dof / chi2(dof).ppf(0.025)))
 
 
-def _root(covariance: Matrix) -> Matrix:
-    """Return the Cholesky factor; a ten-millionth more on the diagonal keeps it from failing."""
-    return np.linalg.cholesky(covariance + 1e-7 * np.diag(np.diag(covariance)))
+def _bounded(design: Matrix, points: Scalars) -> Vector:
+    """Return the least-squares solution of which only the first unknown, Q^2, may be negative."""
+    both = np.column_stack([design, -design[:, 0]])
+    scale = np.linalg.norm(both, axis=0)
+    solution = nnls(both / scale, points)[0] / scale
+    return np.asarray(solution[:-1] - np.array([solution[-1], 0.0, 0.0, 0.0, 0.0]))
+
+
+def _whiten(covariance: Matrix, values: Matrix) -> Matrix:
+    """Return `values` (P, ...) in units in which the covariance is the identity.
+
+    A ten-millionth more on the diagonal keeps the factorisation from failing.
+    """
+    root = np.linalg.cholesky(covariance + 1e-7 * np.diag(np.diag(covariance)))
+    return np.asarray(np.linalg.solve(root, values), dtype=np.float64)
 
 
 def _inverse(information: Matrix) -> Matrix:
     """Invert, with the unknowns scaled to like size first."""
-    scale = 1 / np.sqrt(np.diag(information))
-    both = np.outer(scale, scale)
-    return np.multiply(np.linalg.inv(information * both), both, dtype=np.float64)
+    scale = np.diag(1 / np.sqrt(np.diag(information)))
+    return np.asarray(scale @ np.linalg.inv(scale @ information @ scale) @ scale, np.float64)

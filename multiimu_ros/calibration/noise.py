@@ -9,6 +9,7 @@ What they cannot tell together either stays out.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,14 @@ from scipy.stats import chi2
 
 from multiimu_ros.arrays import as_vectors, Scalars, Vectors
 from multiimu_ros.calibration.allan import allan_curve, AllanCurve
-from multiimu_ros.calibration.allan_fit import AllanFit, fit_allan, Term, term_of, TERMS
+from multiimu_ros.calibration.allan_fit import (
+    AllanFit,
+    fit_allan,
+    SIGNIFICANT,
+    Term,
+    term_of,
+    TERMS,
+)
 from multiimu_ros.calibration.resting_record import LEAST_S, resting_record, RestingRecord
 from multiimu_ros.errors import CalibrationError
 from multiimu_ros.rig import Noise, PerTriad
@@ -163,14 +171,25 @@ def _alike(fits: Sequence[AllanFit], letter: str) -> bool:
 
 def _mean_term(fits: Sequence[AllanFit], letter: str) -> Term:
     """Return the root mean square of a term over axes, whose noise is independent."""
-    index = TERMS.index(letter)
+    index, count = TERMS.index(letter), len(fits)
     square = float(np.mean([fit.free[index] for fit in fits]))
     variances = [fit.covariance[index, index] for fit in fits]
-    term = term_of(square, float(np.sqrt(np.sum(variances)) / len(fits)))
+    term = term_of(square, float(np.sqrt(np.sum(variances))) / count)
     if term.determined:
         return term
-    needed = min(fit.terms[letter].needed_s for fit in fits)
-    return Term(term.value, term.sigma, term.low, term.high, needed)
+    margins = [_margin(fit, letter) for fit in fits]
+    most = max(square, 0.0) + float(np.sqrt(np.sum(np.square(margins)))) / count
+    silent = [fit.terms[letter] for fit in fits if not fit.terms[letter].determined]
+    needed = min((term.needed_s for term in silent), default=math.inf)
+    return Term(math.nan, math.nan, 0.0, math.sqrt(most), needed)
+
+
+def _margin(fit: AllanFit, letter: str) -> float:
+    """Return how much larger the square of a term may be than it was found."""
+    index, term = TERMS.index(letter), fit.terms[letter]
+    if term.determined:
+        return float(SIGNIFICANT * np.sqrt(fit.covariance[index, index]))
+    return float(term.high**2 - max(fit.squares[index], 0.0))
 
 
 @dataclass(frozen=True)
