@@ -87,6 +87,23 @@ def test_moving_the_tracker_changes_nothing(seed):
         assert_allclose(a.lever_arm_sigma, b.lever_arm_sigma, rtol=1e-9)
 
 
+def test_sigmas_are_what_errors_of_single_coordinates_add_up_to():
+    corners = {k: (x + 0.02, y - 0.03, z) for k, (x, y, z) in CORNERS.items()}
+    survey, h = survey_of(corners=corners, pointer_sigma=SIGMA), 1e-7
+    variance = np.zeros((2, 3))
+    for name in ('imu0', 'imu1'):
+        for corner in corners:
+            for axis in np.eye(3):
+                points = dict(survey.imus[name].points)
+                points[corner] = tuple(points[corner] + h * axis)
+                board = TipBoard(corners=corners, points=points)
+                moved = survey.model_copy(update={'imus': dict(survey.imus) | {name: board}})
+                variance += (SIGMA / h * np.array(errors_of(fit_tip(moved), 'imu1'))) ** 2
+    fit = fit_tip(survey).extrinsics['imu1']
+    # One-sided differences over 1e-7 of boards of 1e-2, in numbers of 1: 1e-5 and 1e-7.
+    assert_allclose([fit.rotation_sigma, fit.lever_arm_sigma], np.sqrt(variance), rtol=1e-4)
+
+
 @pytest.mark.parametrize('known', [True, False])
 def test_sigmas_are_honest(rng, known):
     squares, variances, found = [], [], []
