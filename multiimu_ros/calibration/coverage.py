@@ -37,7 +37,7 @@ PARAMETERS = (
 FACE = np.cos(np.deg2rad(35.0))  # a pose this close to a face stands for it
 EDGE = np.cos(np.deg2rad(25.0))
 SINGULAR = 1e-6  # of the greatest singular value: what noise makes of a zero is larger
-TURN = np.pi / 2  # [rad] about each of three axes: what the gyroscope's fit needs
+TURN = np.pi / 3  # [rad] a quarter turn about each of three axes, as carelessly as hands do it
 MIXED = 0.4  # of the greatest component: what else a direction's name mentions
 POSE_SIGMA = 2e-3  # [m/s^2] of one mean at rest; decides only between poses equally new
 UNIT_GRAVITY = 9.80665
@@ -130,7 +130,7 @@ class RotationCoverage:
     principal : (3,) array
         Root of the summed squares about the principal axes of all turns, ascending [rad].
     lacking : tuple of str
-        Axes about which it was turned by less than 90 deg: `x`, or `x+y` for one between.
+        Axes that lack a turn of 90 deg, or several that are worth 60 deg: `x`, or `x+y` for one between.
     """
 
     turned: Vector

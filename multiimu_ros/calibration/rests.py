@@ -24,6 +24,7 @@ RESTLESS = 40.0  # times the quietest variance: a pose that is held by hand
 SWAY = 0.02  # scatter of the force over its mean
 DRIFT = 30.0  # [noises of one sample] by which the rate at rest may differ within a recording
 NEW_POSE = np.cos(np.deg2rad(10.0))  # two poses that point up closer than this count once
+SOON_NS = 20 * NANOSECONDS  # a longer turn is waving about, or has drifted
 HOLE = 3  # bins without samples after which nobody knows how far the board was turned
 
 COUNT, SPAN = 0, 1  # columns of a bin: samples, and the time that they stand for [s]
@@ -64,6 +65,13 @@ class Rests:
     def up_s(self) -> Vectors:
         """Direction of the mean force of each (P, 3) in the sensor frame [-]."""
         return np.asarray(self.mean_force / np.linalg.norm(self.mean_force, axis=1, keepdims=True))
+
+    @property
+    def turned_soon(self) -> Flags:
+        """Say of each (P,) whether how it was turned there is known, and took but 20 s."""
+        before_ns = np.r_[self.begin_ns[:1], self.end_ns[:-1]]
+        soon = self.begin_ns - before_ns < SOON_NS
+        return np.asarray(np.isfinite(self.turned).all(axis=1) & soon)
 
     @property
     def is_new(self) -> Flags:
@@ -174,23 +182,25 @@ class Motion:
                 turned[k] = between[TURN] - bias * between[SPAN]
         return turned
 
-    def carried_up(self, unit: float = 1.0) -> Vectors:
+    def carried_up(self, unit: float = 1.0, wanted: Flags | None = None) -> Vectors:
         """Return where the up direction of the rest before must lie at each rest (P, 3) [-].
 
         Parameters
         ----------
         unit : float
             What a reading of 1 is [rad/s].  With the wrong one the directions do not agree with
-            `rests.up_s`.  NaN for the first rest, and across missing samples.
+            `rests.up_s`.
+        wanted : (P,) array, optional
+            At which rests; the others stay NaN, as does what lies across missing samples.
         """
         rests, up = self.rests, np.full((len(self.rests), 3), np.nan)
         middle = self.middle_ns
-        for k in range(1, len(rests)):
-            if np.isfinite(rests.turned[k]).all():
-                inside = (middle > rests.end_ns[k - 1]) & (middle < rests.begin_ns[k])
-                bias = (rests.mean_rate[k - 1] + rests.mean_rate[k]) / 2
-                turns = self._rows[inside, TURN] - self._rows[inside, SPAN][:, np.newaxis] * bias
-                up[k] = _product(unit * turns).inv().apply(rests.up_s[k - 1])
+        known = np.isfinite(rests.turned).all(axis=1)
+        for k in np.flatnonzero(known if wanted is None else known & wanted):
+            inside = (middle > rests.end_ns[k - 1]) & (middle < rests.begin_ns[k])
+            bias = (rests.mean_rate[k - 1] + rests.mean_rate[k]) / 2
+            turns = self._rows[inside, TURN] - self._rows[inside, SPAN][:, np.newaxis] * bias
+            up[k] = _product(unit * turns).inv().apply(rests.up_s[k - 1])
         return up
 
     def waving_s(self, slow: float = 0.5) -> float:

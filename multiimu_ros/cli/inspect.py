@@ -1,6 +1,6 @@
 """`multiimu inspect`: what a bag holds, and what is wrong with it before anything is fitted."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,7 +10,11 @@ import typer
 from multiimu_ros.arrays import NANOSECONDS, Scalars, Vectors
 from multiimu_ros.bags import ImuTrack, list_topics, read_imus
 from multiimu_ros.bags.reader import IMU_TYPE
+from multiimu_ros.cli.inspect_live import watch
 from multiimu_ros.cli.options import AsJson, OptionsFile, print_json, print_table, split_names
+from multiimu_ros.cli.recording import clipped_share, follow, judge_recording
+from multiimu_ros.cli.verdicts import print_verdicts, waiting
+from multiimu_ros.errors import ConfigError
 
 GAP = 3.0  # periods: what the synchroniser no longer interpolates across
 SATURATED = 5  # samples at the very same extreme: noise never does that
@@ -50,35 +54,71 @@ COMPLAINTS: tuple[tuple[Callable[[dict[str, Any]], bool], str], ...] = (
 app = typer.Typer(add_completion=False)
 
 
-@app.command(epilog='Example: `multiimu inspect walk/ --json`')
+@app.command(epilog='Examples: `multiimu inspect walk/ --json`; `multiimu inspect --live`')
 def inspect(
-    bag: Annotated[Path, typer.Argument(help='rosbag2 folder, .mcap or .db3 file.')],
+    bag: Annotated[Path | None, typer.Argument(help='rosbag2 folder, .mcap or .db3 file.')] = None,
+    live: Annotated[
+        bool, typer.Option('--live', help='Watch a recording and say what it still lacks.')
+    ] = False,
     topics: Annotated[list[str], typer.Option(help='Only these Imu topics.')] = [],  # noqa: B006
+    seconds: Annotated[
+        float | None, typer.Option(min=1.0, help='End `--live` after so long.')
+    ] = None,
     as_json: AsJson = False,
     options: OptionsFile = None,  # noqa: ARG001 read by its callback
 ) -> None:
-    """Say what a bag holds and what is wrong with it; exit code 0 means that it was read."""
+    """Say what a bag holds, what is wrong with it, and which calibrations it suffices for.
+
+    Exit code 0 means that it was read; with `--live`, that nothing is missing any more.
+    """
+    if live == (bag is not None):
+        got = 'both' if live else 'neither'
+        msg = f'`inspect` must have either a BAG or `--live`, got {got}; pass one of them.'
+        raise ConfigError(msg)
+    if bag is None:
+        raise SystemExit(watch(split_names(topics), seconds, as_json=as_json))
+    report = preflight(bag, split_names(topics))
+    if as_json:
+        print_json(report)
+    else:
+        _print(bag, report)
+
+
+def preflight(bag: Path, topics: Sequence[str] = ()) -> dict[str, Any]:
+    """Return what `--json` shows of a bag; `topics` are the only Imu topics to look at."""
     present = list_topics(bag)
-    wanted = [name.lstrip('/') for name in split_names(topics)]
+    wanted = [name.lstrip('/') for name in topics]
     imus = [
         topic.name
         for topic in present
         if topic.type == IMU_TYPE and (not wanted or topic.name.lstrip('/') in wanted)
     ]
-    findings = [inspect_track(track) for track in read_imus(bag, imus).tracks] if imus else []
-    listed: list[dict[str, Any]] = [
-        {'topic': t.name, 'type': t.type, 'count': t.count} for t in present
-    ]
-    candidates = [finding['topic'] for finding in findings if finding['looks_raw']]
-    if as_json:
-        print_json({'topics': listed, 'imus': findings, 'candidates': candidates})
-        return
-    print_table(f'Topics of {bag}', listed)
-    print_table('IMUs', [_row(finding) for finding in findings])
-    for finding in findings:
+    with waiting(f'Reading {bag} ...'):
+        tracks = read_imus(bag, imus).tracks if imus else ()
+        findings = [inspect_track(track) for track in tracks]
+        motions = {track.topic: follow(track) for track in tracks}
+        findings, boards = judge_recording(findings, motions)
+    return {
+        'topics': [{'topic': t.name, 'type': t.type, 'count': t.count} for t in present],
+        'imus': findings,
+        'candidates': [finding['topic'] for finding in findings if finding['looks_raw']],
+        'boards': boards,
+        'suffices': boards[0]['suffices'] if boards else [],
+    }
+
+
+def _print(bag: Path, report: Mapping[str, Any]) -> None:
+    print_table(f'Topics of {bag}', report['topics'])
+    print_table('IMUs', [_row(finding) for finding in report['imus']])
+    print_table('How they rested and moved', [_moves(finding) for finding in report['imus']])
+    for finding in report['imus']:
         for complaint in finding['complaints']:
             typer.echo(f'{finding["topic"]}: {complaint}')
-    typer.echo(f'To fuse or calibrate: {" ".join(candidates) or "no Imu topic looks raw"}')
+    for board in report['boards']:
+        print_verdicts(board)
+    typer.echo(
+        f'To fuse or calibrate: {" ".join(report["candidates"]) or "no Imu topic looks raw"}'
+    )
 
 
 def inspect_track(track: ImuTrack) -> dict[str, Any]:
@@ -107,6 +147,7 @@ def inspect_track(track: ImuTrack) -> dict[str, Any]:
         'clock_offset_s': _median((track.received_ns - samples.stamp_ns) / NANOSECONDS),
         'looks_raw': bool(len(samples)) and 'data_raw' in track.topic,
     }
+    finding['saturated_share'] = clipped_share(finding)
     finding['complaints'] = _complaints(finding)
     return finding
 
@@ -146,4 +187,16 @@ def _row(finding: dict[str, Any]) -> dict[str, Any]:
         'rate [rad/s]': finding['median_rate'],
         'force [m/s^2]': finding['median_force'],
         'problems': len(finding['complaints']),
+    }
+
+
+def _moves(finding: dict[str, Any]) -> dict[str, Any]:
+    return {
+        'topic': finding['topic'],
+        'first rest [s]': finding['rest']['first_s'],
+        'all [s]': finding['rest']['total_s'],
+        'poses': finding['poses']['distinct'],
+        'waved [s]': finding['waving']['time_s'],
+        'clipped': f'{100 * finding["saturated_share"]:.2g} %',
+        'units': f'{finding["units"]["rate"]}, {finding["units"]["force"]}',
     }
