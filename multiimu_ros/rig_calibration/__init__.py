@@ -1,0 +1,1 @@
+"""One recording of N IMUs to one rig file."""

@@ -1,0 +1,262 @@
+"""What the joint fit measures, linearised: the residuals of one IMU and their derivatives.
+
+Unknowns of an IMU, 33 columns in this order: accelerometer scale (3), shear (3), bias (3);
+gyroscope E (9, row by row), bias (3), G (9, row by row); rotation into the first IMU's frame (3,
+perturbed on the right).  Beside them every pose has an attitude R_k of the first IMU (3).  With
+s = R_i' R_k' [0, 0, g], the specific force of the pose in the frame of IMU i:
+
+    accelerometer in pose k   f_raw - (b_a + E_a^-1 s)
+    gyroscope in pose k       w_raw - (b_g + E_g^-1 G s)
+    gyroscope from k to l     Log(dR_i' R_i' R_k' R_l R_i),   dR_i the turn it integrated
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.spatial.transform import Rotation
+
+from multiimu_ros.arrays import Matrix, Scalars, Vector, Vectors
+from multiimu_ros.calibration.poses import PoseReadings, Transition
+from multiimu_ros.calibration.preintegration import preintegrate
+from multiimu_ros.calibration.tedaldi import AccelerometerModel, GyroscopeModel, UPPER
+from multiimu_ros.calibration.variance import walk_covariance
+from multiimu_ros.rotations import skew
+
+SCALE, SHEAR, FORCE_BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
+RATE_E, RATE_BIAS, SENSITIVITY, ROTATION = (
+    slice(9, 18),
+    slice(18, 21),
+    slice(21, 30),
+    slice(30, 33),
+)
+UNKNOWNS = 33
+
+
+@dataclass(frozen=True)
+class ImuView:
+    """One IMU's share of a recording.
+
+    Parameters
+    ----------
+    poses : PoseReadings
+        In all P poses, NaN where it was not heard.
+    transitions : tuple of T Transition
+        Its unbroken moves.
+    time, raw_rate, raw_force : (N,), (N, 3), (N, 3) arrays
+        All samples [s], raw.
+    """
+
+    poses: PoseReadings
+    transitions: tuple[Transition, ...]
+    time: Scalars
+    raw_rate: Vectors
+    raw_force: Vectors
+
+
+@dataclass(frozen=True)
+class ImuState:
+    """The 33 unknowns of one IMU at their present values; see the module."""
+
+    scale: Vector
+    shear: Vector
+    force_bias: Vector
+    E: Matrix
+    rate_bias: Vector
+    G: Matrix
+    R: Matrix
+
+    @classmethod
+    def of(
+        cls, accelerometer: AccelerometerModel, gyroscope: GyroscopeModel, R: Matrix
+    ) -> 'ImuState':
+        """Begin with what the single fits found; `R` (3, 3) maps into the first IMU's frame."""
+        a, g = accelerometer, gyroscope
+        return cls(a.scale, a.shear, a.bias, g.E, g.bias, g.G, R)
+
+    @property
+    def E_a(self) -> Matrix:
+        """M S of the accelerometer (3, 3)."""
+        return self.M_a * self.scale
+
+    @property
+    def M_a(self) -> Matrix:
+        """Misalignment of the accelerometer (3, 3)."""
+        M = np.eye(3)
+        M[UPPER] = self.shear
+        return M
+
+    def moved(self, step: Vector) -> 'ImuState':
+        """Return the state after a step (33,)."""
+        return replace(
+            self,
+            scale=self.scale + step[SCALE],
+            shear=self.shear + step[SHEAR],
+            force_bias=self.force_bias + step[FORCE_BIAS],
+            E=self.E + step[RATE_E].reshape(3, 3),
+            rate_bias=self.rate_bias + step[RATE_BIAS],
+            G=self.G + step[SENSITIVITY].reshape(3, 3),
+            R=self.R @ Rotation.from_rotvec(step[ROTATION]).as_matrix(),
+        )
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Variance components of one IMU, in raw readings but for `turn`.
+
+    Parameters
+    ----------
+    force, rate : (float, float)
+        Of each pose on its own, and of the walking bias per second.
+    turn : float
+        Of the integrated turn, per squared radian of the move [-].
+    """
+
+    force: tuple[float, float]
+    rate: tuple[float, float]
+    turn: float = 0.0
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Whitened residuals (M,) of one IMU, derivatives by its unknowns (M, 33) and attitudes.
+
+    `attitudes` (M, 3 P) is dense; `moves` says which rows are those of the turns.
+    """
+
+    residual: Vector
+    own: Matrix
+    attitudes: Matrix
+    moves: slice
+
+
+def measure(view: ImuView, state: ImuState, R_k: Matrix, gravity: float, weights: Weights) -> Rows:
+    """Return residuals and derivatives of one IMU, whitened by their covariance.
+
+    Parameters
+    ----------
+    R_k : (P, 3, 3) array
+        Attitude of the first IMU in each pose, v_n = R_k v_0.
+    gravity : float
+        [m/s^2].
+    """
+    known = np.flatnonzero(view.poses.known)
+    up = R_k[known, 2, :] * gravity  # third row: gravity's reaction in the first IMU's frame
+    s = up @ state.R
+    force = _force_rows(view, state, known, up, s)
+    rate = _rate_rows(view, state, known, up, s)
+    turn, J = _turn_rows(view, state, R_k)
+    whitened = [
+        _whiten(_force_covariance(view, weights, known), *force),
+        _whiten(_rate_covariance(view, state, weights, known, J), *_stack(rate, turn)),
+    ]
+    residual, own, attitudes = (np.concatenate(parts) for parts in zip(*whitened, strict=True))
+    return Rows(residual, own, attitudes, slice(6 * len(known), len(residual)))
+
+
+Block = tuple[Vector, Matrix, Matrix]
+
+
+def _stack(one: Block, other: Block) -> Block:
+    residual, own, attitudes = (np.concatenate(parts) for parts in zip(one, other, strict=True))
+    return residual, own, attitudes
+
+
+def _whiten(V: Matrix, residual: Vector, own: Matrix, attitudes: Matrix) -> Block:
+    stacked = np.column_stack((residual, own, attitudes))
+    white = solve_triangular(cholesky(V, lower=True), stacked, lower=True)
+    return white[:, 0], white[:, 1 : 1 + UNKNOWNS], white[:, 1 + UNKNOWNS :]
+
+
+def _empty(rows: int, poses: int) -> Block:
+    return np.zeros((rows, 3)), np.zeros((rows, 3, UNKNOWNS)), np.zeros((rows, 3, 3 * poses))
+
+
+def _flat(residual: Vectors, own: Matrix, attitudes: Matrix) -> Block:
+    rows = residual.size
+    return residual.ravel(), own.reshape(rows, -1), attitudes.reshape(rows, -1)
+
+
+def _force_rows(view: ImuView, state: ImuState, known: Vector, up: Vectors, s: Vectors) -> Block:
+    residual, own, attitudes = _empty(len(known), len(view.poses))
+    inverse = np.linalg.inv(state.E_a)
+    y = s @ inverse.T
+    residual[:] = view.poses.specific_force[known] - state.force_bias - y
+    for j in range(3):
+        own[:, j, j] = y[:, j] / state.scale[j]
+    for column, (row, col) in enumerate(zip(*UPPER, strict=True)):
+        own[:, :, 3 + column] = np.outer(y[:, col] * state.scale[col], inverse[:, row])
+    own[:, :, FORCE_BIAS] = -np.eye(3)
+    for m, k in enumerate(known):
+        own[m, :, ROTATION] = -inverse @ skew(s[m])
+        attitudes[m, :, 3 * k : 3 * k + 3] = -inverse @ state.R.T @ skew(up[m])
+    return _flat(residual, own, attitudes)
+
+
+def _rate_rows(view: ImuView, state: ImuState, known: Vector, up: Vectors, s: Vectors) -> Block:
+    residual, own, attitudes = _empty(len(known), len(view.poses))
+    inverse = np.linalg.inv(state.E)
+    H = inverse @ state.G
+    h = s @ H.T
+    residual[:] = view.poses.angular_rate[known] - state.rate_bias - h
+    own[:, :, RATE_E] = np.einsum('aj,mc->majc', inverse, h).reshape(-1, 3, 9)
+    own[:, :, RATE_BIAS] = -np.eye(3)
+    own[:, :, SENSITIVITY] = -np.einsum('aj,mc->majc', inverse, s).reshape(-1, 3, 9)
+    for m, k in enumerate(known):
+        own[m, :, ROTATION] = -H @ skew(s[m])
+        attitudes[m, :, 3 * k : 3 * k + 3] = -H @ state.R.T @ skew(up[m])
+    return _flat(residual, own, attitudes)
+
+
+def _turn_rows(view: ImuView, state: ImuState, R_k: Matrix) -> tuple[Block, Matrix]:
+    moves = view.transitions
+    residual, own, attitudes = _empty(len(moves), len(view.poses))
+    force = (view.raw_force - state.force_bias) @ state.E_a.T
+    gyroscope = state.E, state.rate_bias, state.G
+    turned, J = preintegrate(view.time, view.raw_rate, force, moves, gyroscope)
+    for m, move in enumerate(moves):
+        k, m_to = move.start, move.stop
+        D = R_k[k].T @ R_k[m_to]
+        seen = state.R.T @ D @ state.R
+        residual[m] = Rotation.from_matrix(turned[m].T @ seen).as_rotvec()
+        own[m, :, 9:30] = -J[m]
+        own[m, :, ROTATION] = np.eye(3) - seen.T
+        attitudes[m, :, 3 * m_to : 3 * m_to + 3] += state.R.T
+        attitudes[m, :, 3 * k : 3 * k + 3] -= state.R.T @ D.T
+    return _flat(residual, own, attitudes), J
+
+
+def _force_covariance(view: ImuView, weights: Weights, known: Vector) -> Matrix:
+    poses = view.poses
+    walk = walk_covariance(poses.time[known])
+    white = np.square(poses.force_density) / poses.duration[known, np.newaxis] + weights.force[0]
+    return np.asarray(np.diag(white.ravel()) + weights.force[1] * np.kron(walk, np.eye(3)))
+
+
+def _rate_covariance(
+    view: ImuView, state: ImuState, weights: Weights, known: Vector, J: Matrix
+) -> Matrix:
+    """Return the covariance of the rates in the poses and the turns between: one bias, walking."""
+    poses, moves = view.poses, view.transitions
+    rows, turns = 3 * len(known), 3 * len(moves)
+    white = np.square(poses.rate_density) / poses.duration[known, np.newaxis] + weights.rate[0]
+    calibrated = np.square(state.E) @ np.square(poses.rate_density)
+    length = np.array([view.time[move.end - 1] - view.time[move.begin] for move in moves])
+    angles = np.array([_angle(view, state, move) for move in moves])
+    walked = np.outer(length, calibrated) + weights.turn * np.square(angles)[:, np.newaxis]
+    V = np.diag(np.concatenate((white.ravel(), walked.ravel())))
+    A = np.zeros((rows + turns, rows))
+    A[:rows] = np.eye(rows)
+    place = {int(k): m for m, k in enumerate(known)}
+    for m, move in enumerate(moves):
+        for k in (place[move.start], place[move.stop]):
+            A[rows + 3 * m : rows + 3 * m + 3, 3 * k : 3 * k + 3] = 0.5 * J[m][:, 9:12]
+    walk = np.kron(walk_covariance(poses.time[known]), np.eye(3))
+    return np.asarray(V + weights.rate[1] * A @ walk @ A.T)
+
+
+def _angle(view: ImuView, state: ImuState, move: Transition) -> float:
+    """Return how far the board was turned in a move, all directions added up [rad]."""
+    span = slice(move.begin, move.end)
+    rate = np.linalg.norm((view.raw_rate[span] - state.rate_bias) @ state.E.T, axis=1)
+    return float(np.trapezoid(rate, view.time[span]))
