@@ -130,7 +130,7 @@ class RotationCoverage:
     principal : (3,) array
         Root of the summed squares about the principal axes of all turns, ascending [rad].
     lacking : tuple of str
-        Axes that lack a turn of 90 deg, or several that are worth 60 deg: `x`, or `x+y` for one between.
+        Axes that lack a quarter turn or its worth: `x`, or `x+y` for one in between.
     """
 
     turned: Vector

@@ -19,6 +19,7 @@ from multiimu_ros.calibration.rests import Motion
 from multiimu_ros.cli.one_board import ALIKE, closeness
 from multiimu_ros.cli.options import print_json
 from multiimu_ros.cli.preflight import examine_motion, Figures, judge, judge_board, Verdict, YES
+from multiimu_ros.cli.recording import unlike
 from multiimu_ros.cli.verdicts import shortened, STYLES
 from multiimu_ros.errors import ConfigError
 
@@ -116,8 +117,7 @@ class LiveBoard:
         first, *others = self.imus.values()
         scores = {imu.topic: closeness(first.motion, imu.motion) for imu in others}
         return [
-            f'`{topic}` does not move as `{first.topic}` does (correlation {score:.2g}); fix it '
-            'to the same body, or leave it out with `--topics`'
+            f'`{topic}`: {unlike(first.topic, score)}'
             for topic, score in scores.items()
             if score < ALIKE
         ]

@@ -16,6 +16,7 @@ ALIKE = (
 )
 DELAY = 20  # bins: 2 s
 SHORT = 100  # bins: 10 s, less is no evidence
+STRANGE = -1.0  # correlation of what shares less than that
 STIRRED = 0.05  # of its greatest: share of bins that must move to tell anything
 
 
@@ -79,7 +80,7 @@ def compare(one: Scalars, other: Scalars) -> float:
     """
     size = max(len(one), len(other))
     padded = [np.pad(s, (0, size - len(s)), constant_values=np.nan) for s in (one, other)]
-    best = -1.0
+    best = STRANGE
     for delay in range(-DELAY, DELAY + 1):
         a = padded[0][max(delay, 0) : size + min(delay, 0)]
         b = padded[1][max(-delay, 0) : size + min(-delay, 0)]
@@ -90,7 +91,7 @@ def compare(one: Scalars, other: Scalars) -> float:
 def _correlation(a: Scalars, b: Scalars) -> float:
     both = np.isfinite(a) & np.isfinite(b)
     if both.sum() < SHORT:
-        return -1.0
+        return STRANGE
     a, b = a[both], b[both]
     moving = [bool((s > 0.0).mean() > STIRRED) for s in (a, b)]
     if not any(moving):

@@ -6,7 +6,13 @@ from typing import Any
 from multiimu_ros.bags import ImuTrack
 from multiimu_ros.calibration.pose_tracker import PoseTracker
 from multiimu_ros.calibration.rests import Motion
-from multiimu_ros.cli.one_board import Board, closeness, group_boards, shared_share
+from multiimu_ros.cli.one_board import (
+    Board,
+    closeness,
+    group_boards,
+    shared_share,
+    STRANGE,
+)
 from multiimu_ros.cli.preflight import examine_motion, Figures, judge, judge_board
 
 HALF = 0.9  # of the time that the others cover: less was not left out by chance
@@ -76,17 +82,23 @@ def _about_others(
     """Yield how a topic differs from the board that most others belong to."""
     first = groups[0].topics[0]
     if topic not in groups[0].topics:
-        alike = closeness(motions[first], motions[topic])
-        yield (
-            f'it does not move as {first} does (correlation {alike:.2g}); fix both to one body '
-            'and record again, or leave one out with `--topics`.'
-        )
+        yield unlike(first, closeness(motions[first], motions[topic])) + '.'
     share = shared_share([motions[name] for name in motions], motions[topic])
     if share < HALF:
         yield (
             f'it covers {100 * share:.0f} % of the time that another topic does; keep its driver '
             'running from beginning to end.'
         )
+
+
+def unlike(first: str, alike: float) -> str:
+    """Say how a topic differs from `first`, and what to do."""
+    if alike == STRANGE:
+        return f'it shares less than 10 s with {first}; record both together, for longer'
+    return (
+        f'it does not move as {first} does (correlation {alike:.2g}); fix both to one body and '
+        'record again, or leave one out with `--topics`'
+    )
 
 
 def _board(group: Board, figures: Mapping[str, Figures]) -> dict[str, Any]:
