@@ -7,17 +7,17 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from multiimu_ros.arrays import NANOSECONDS, Scalars, Vectors
+from multiimu_ros.arrays import NANOSECONDS, Scalars
 from multiimu_ros.bags import ImuTrack, list_topics, read_imus
 from multiimu_ros.bags.reader import IMU_TYPE
+from multiimu_ros.cli.clipping import clipped_share, saturated
 from multiimu_ros.cli.inspect_live import watch
 from multiimu_ros.cli.options import AsJson, OptionsFile, print_json, print_table, split_names
-from multiimu_ros.cli.recording import clipped_share, follow, judge_recording
+from multiimu_ros.cli.recording import follow, judge_recording
 from multiimu_ros.cli.verdicts import print_verdicts, waiting
 from multiimu_ros.errors import ConfigError
 
 GAP = 3.0  # periods: what the synchroniser no longer interpolates across
-SATURATED = 5  # samples at the very same extreme: noise never does that
 TURN = 40.0  # [rad/s] no gyroscope of this class reaches it: 2000 deg/s are 35 rad/s
 CLOCKS_S = 3600.0  # a stamp this far from the time of recording is on another clock
 
@@ -110,7 +110,7 @@ def preflight(bag: Path, topics: Sequence[str] = ()) -> dict[str, Any]:
 def _print(bag: Path, report: Mapping[str, Any]) -> None:
     print_table(f'Topics of {bag}', report['topics'])
     print_table('IMUs', [_row(finding) for finding in report['imus']])
-    print_table('How they rested and moved', [_moves(finding) for finding in report['imus']])
+    print_table('How they rested and moved [s]', [_moves(finding) for finding in report['imus']])
     for finding in report['imus']:
         for complaint in finding['complaints']:
             typer.echo(f'{finding["topic"]}: {complaint}')
@@ -128,7 +128,7 @@ def inspect_track(track: ImuTrack) -> dict[str, Any]:
     forward = steps[steps > 0]
     period = float(np.median(forward)) if len(forward) else float('nan')
     force = np.linalg.norm(samples.specific_force, axis=1)
-    finding = {
+    finding: dict[str, Any] = {
         'topic': track.topic,
         'frame_id': track.frame_id,
         'count': len(samples),
@@ -147,22 +147,10 @@ def inspect_track(track: ImuTrack) -> dict[str, Any]:
         'clock_offset_s': _median((track.received_ns - samples.stamp_ns) / NANOSECONDS),
         'looks_raw': bool(len(samples)) and 'data_raw' in track.topic,
     }
-    finding['saturated_share'] = clipped_share(finding)
+    hits = max(finding['saturated_rate'], finding['saturated_force'])
+    finding['saturated_share'] = clipped_share(hits, len(samples))
     finding['complaints'] = _complaints(finding)
     return finding
-
-
-def saturated(vectors: Vectors) -> int:
-    """Return how many samples pile up at an extreme: more than there are one step inside."""
-    count = 0
-    for axis in (*vectors.T, *-vectors.T):
-        finite = axis[np.isfinite(axis)]
-        extreme = finite.max(initial=0.0)
-        hits = int((finite == extreme).sum()) if extreme else 0
-        inside = finite[finite < extreme].max(initial=-np.inf)
-        if hits >= SATURATED and hits > int((finite == inside).sum()):
-            count += hits
-    return count
 
 
 def _median(values: Scalars) -> float:
@@ -193,10 +181,10 @@ def _row(finding: dict[str, Any]) -> dict[str, Any]:
 def _moves(finding: dict[str, Any]) -> dict[str, Any]:
     return {
         'topic': finding['topic'],
-        'first rest [s]': finding['rest']['first_s'],
-        'all [s]': finding['rest']['total_s'],
+        'first rest': finding['rest']['first_s'],
+        'all': finding['rest']['total_s'],
         'poses': finding['poses']['distinct'],
-        'waved [s]': finding['waving']['time_s'],
+        'waved': finding['waving']['time_s'],
         'clipped': f'{100 * finding["saturated_share"]:.2g} %',
-        'units': f'{finding["units"]["rate"]}, {finding["units"]["force"]}',
+        'units': f'{finding["units"]["rate"]} {finding["units"]["force"]}',
     }

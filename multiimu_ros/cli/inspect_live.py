@@ -16,6 +16,7 @@ from rich.text import Text
 from multiimu_ros.bags import ImuTrack
 from multiimu_ros.calibration.pose_tracker import PoseTracker
 from multiimu_ros.calibration.rests import Motion
+from multiimu_ros.cli.clipping import ImuClipping
 from multiimu_ros.cli.one_board import ALIKE, closeness
 from multiimu_ros.cli.options import print_json
 from multiimu_ros.cli.preflight import examine_motion, Figures, judge, judge_board, Verdict, YES
@@ -35,6 +36,7 @@ class LiveImu:
     def __init__(self, topic: str) -> None:
         self.topic = topic
         self.tracker = PoseTracker()
+        self.clipping = ImuClipping()
         self.motion: Motion = self.tracker.view()
         self.figures: Figures = examine_motion(self.motion)
 
@@ -68,6 +70,7 @@ class LiveBoard:
         """Take the newest samples of a topic."""
         imu = self.imus.setdefault(track.topic, LiveImu(track.topic))
         imu.tracker.push(track.samples)
+        imu.clipping.push(track.samples)
 
     def look(self, silences: Sequence[str]) -> bool:
         """Bring everything up to date; say whether nothing is missing any more."""
@@ -102,7 +105,7 @@ class LiveBoard:
         judged = {
             topic: [
                 verdict
-                for verdict in judge(imu.figures, len(self.imus) - 1)
+                for verdict in judge(imu.figures, len(self.imus) - 1, imu.clipping.share)
                 if verdict.task not in LATER
             ]
             for topic, imu in self.imus.items()

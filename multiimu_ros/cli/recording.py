@@ -56,16 +56,10 @@ def judge_recording(
             *_new_complaints(finding, moved['units']['complaints']),
             *(_about_others(topic, groups, motions) if topic in companions else ()),
         ]
-        verdicts = judge(moved, companions.get(topic, 0), clipped_share(finding))
+        verdicts = judge(moved, companions.get(topic, 0), finding['saturated_share'])
         told.append(finding | moved | {'complaints': complaints, 'suffices': verdicts})
     by_topic = {figures['topic']: figures for figures in told}
     return [_plain(figures) for figures in told], [_board(group, by_topic) for group in groups]
-
-
-def clipped_share(finding: Figures) -> float:
-    """Return the share of the readings of an axis that end the range, of rate or force [-]."""
-    hits = max(finding['saturated_rate'], finding['saturated_force'])
-    return float(hits / (3 * finding['count'])) if finding['count'] else 0.0
 
 
 def _new_complaints(finding: Figures, complaints: Sequence[str]) -> Iterator[str]:

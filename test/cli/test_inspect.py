@@ -8,8 +8,13 @@ from typer.testing import CliRunner
 
 from multiimu_ros.bags import BagWriter, ImuTrack
 from multiimu_ros.bags.cdr import encode_imus
+from multiimu_ros.cli import verdicts
 from multiimu_ros.cli.inspect import app, inspect_track, saturated
+from multiimu_ros.errors import ConfigError
 from multiimu_ros.samples import ImuSamples
+from multiimu_ros.simulation.placements import ring
+from multiimu_ros.simulation.recording import simulate
+from multiimu_ros.simulation.trajectories import trajectory
 
 N = 400
 
@@ -106,3 +111,59 @@ def test_the_verb_prints_json_for_machines_and_words_for_people(tmp_path, sample
     words = runner.invoke(app, [path]).stdout
     assert 'To fuse or calibrate: /imu0/data_raw' in words
     assert '/imu0/data_raw: 1 stamps ' in words
+
+
+@pytest.fixture(scope='module')
+def calibration(tmp_path_factory):
+    """Return a bag of 60 s of two IMUs: some poses, and waving."""
+    path = tmp_path_factory.mktemp('bags') / 'calibration'
+    raw = simulate(ring(2), trajectory('calibration', 60.0), 50.0).raw
+    with BagWriter(path) as bag:
+        for k, part in enumerate(raw):
+            bag.add_topic(f'/imu{k}/data_raw', 'sensor_msgs/msg/Imu')
+            messages = encode_imus(f'imu{k}_link', part)
+            for stamp_ns, data in zip(part.stamp_ns.tolist(), messages, strict=True):
+                bag.write(f'/imu{k}/data_raw', stamp_ns, data)
+    return str(path)
+
+
+def test_the_verb_says_what_a_calibration_lacks(calibration):
+    words = CliRunner().invoke(app, [calibration]).stdout
+    assert 'What /imu0/data_raw and 1 more that move alike' in words
+    assert 'rad/s m/s^2' in words
+    assert 'accelerometer: prop it on the edge' in words
+    assert 'Allan: record an hour of rest' in words
+
+
+def test_the_json_of_a_calibration_has_everything_under_stable_keys(calibration):
+    answer = json.loads(CliRunner().invoke(app, [calibration, '--json']).stdout)
+    assert list(answer) == ['topics', 'imus', 'candidates', 'boards', 'suffices']
+    assert answer['boards'][0]['topics'] == ['/imu0/data_raw', '/imu1/data_raw']
+    assert answer['boards'][0]['correlations']['/imu1/data_raw'] > 0.9  # what makes a board
+    assert answer['suffices'] == answer['boards'][0]['suffices']
+    assert set(answer['suffices'][0]) == {'task', 'answer', 'why', 'instead'}
+    imu = answer['imus'][0]
+    assert {'saturated_share', 'rest', 'units', 'poses', 'turns', 'waving', 'suffices'} <= set(imu)
+    assert set(imu['rest']) == {'first_s', 'longest_s', 'total_s', 'count'}
+
+
+@pytest.mark.parametrize(('arguments', 'got'), [([], 'neither'), (['bag', '--live'], 'both')])
+def test_exactly_one_of_a_bag_and_live_is_wanted(arguments, got):
+    error = CliRunner().invoke(app, arguments).exception
+    assert isinstance(error, ConfigError)
+    assert (
+        str(error) == f'`inspect` must have either a BAG or `--live`, got {got}; pass one of them.'
+    )
+
+
+def test_a_terminal_shows_that_reading_takes_its_time(monkeypatch, capsys):
+    monkeypatch.setenv('FORCE_COLOR', '1')  # rich then takes stderr for a terminal
+    monkeypatch.setenv('TERM', 'xterm')
+    with verdicts.waiting('Reading walk ...'):
+        pass
+    assert 'Reading walk' in capsys.readouterr().err
+
+
+def test_long_lists_are_cut_short():
+    assert verdicts.shortened(list('abcde')) == list('abcde')
+    assert verdicts.shortened(list('abcdef')) == [*'abcd', 'and 2 more like these']
