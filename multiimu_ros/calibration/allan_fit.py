@@ -25,15 +25,17 @@ from scipy.stats import chi2, norm
 
 from multiimu_ros.arrays import Matrix, Scalars, Vector
 from multiimu_ros.calibration.allan import AllanCurve
-from multiimu_ros.calibration.allan_covariance import covariance_basis, CovarianceBasis
+from multiimu_ros.calibration.allan_covariance import covariance_basis
 
 TERMS = ('Q', 'N', 'B', 'K', 'R')
 FLAT = 2 * math.log(2) / math.pi  # 0.664^2
 
 ROUNDS = 6  # of weighting with the result
 SIGNIFICANT = 2.0  # sigmas of the square
-MISFIT = 1e-3  # p-value below which the five terms do not explain the points
-FILTERED_S = 0.1  # [s] up to here a low-pass filter of the sensor may spoil the points
+MISFIT = 1e-3  # p-value below which the five terms certainly do not explain the points
+FITS = 0.1  # and above which they do, once that has happened
+FILTERED_S = 0.3  # [s] up to here a low-pass filter of the sensor may spoil the points
+SPARED = 2  # points that are left out where some had to be
 DOUBLINGS = 12  # of the record, when asking how long it would have to be
 
 
@@ -116,22 +118,25 @@ def fit_allan(curve: AllanCurve, axis: int) -> AllanFit:
     """Fit the five terms to one axis of a curve.
 
     Where they do not explain the points, as within the low-pass filter of a sensor, the shortest
-    averaging times up to 0.1 s are left out, one after the other, until they do.
+    averaging times up to 0.3 s are left out, one after the other, until they do; and then two
+    more, for a misfit ends to show before it ends.  Where nothing helps the sigmas are widened.
     """
-    basis = covariance_basis(curve.count)
     longest = int(np.searchsorted(curve.tau, FILTERED_S))
+    tried = []
     for first in range(longest + 1):
-        fit = _Fit(curve, axis, basis.since(first), first)
-        if fit.p_value > MISFIT:
+        tried.append(_Fit(curve, axis, first))
+        if tried[-1].p_value > (FITS if first else MISFIT):
             break
-    return fit.result()
+    else:  # it is not a filter: the best of bad fits, with wide sigmas
+        return min(tried, key=lambda fit: fit.misfit).result()
+    return _Fit(curve, axis, min(first + SPARED, longest) if first else 0).result()
 
 
 class _Fit:
     """Generalised least squares with non-negative squares, from averaging time `first` on."""
 
-    def __init__(self, curve: AllanCurve, axis: int, basis: CovarianceBasis, first: int) -> None:
-        self._curve, self._basis = curve, basis
+    def __init__(self, curve: AllanCurve, axis: int, first: int) -> None:
+        self._curve, self._basis = curve, covariance_basis(curve.count).since(first)
         self._factor = curve.factor[first:]
         self._variance = curve.deviation[first:, axis] ** 2
         self._solve()

@@ -1,10 +1,10 @@
 """`multiimu allan`: a bag of IMUs at rest becomes the noise blocks of their rig file."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 import re
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from rich.console import Console
 from rich.progress import Progress
@@ -27,6 +27,8 @@ from multiimu_ros.report.noise_page import (
 )
 from multiimu_ros.report.page import write_page
 from multiimu_ros.rig import Imu, load_rig, Noise, Rig, RigFrame, save_rig
+
+T = TypeVar('T')
 
 app = typer.Typer(add_completion=False)
 
@@ -110,19 +112,26 @@ def names_of(topics: Sequence[str]) -> list[str]:
 def _findings(
     bag: Path, topics: Sequence[tuple[Imu, str]], present: Sequence[Topic]
 ) -> list[Finding]:
-    console = Console(stderr=True)
-    findings = []
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task('Reading the bag', total=None)
+    with _bar() as progress:
+        progress.add_task('Reading the bag', total=None)
         tracks = read_imus(bag, [topic for _, topic in topics]).tracks
         sha256 = bag_sha256(bag)
-        progress.update(task, description='Allan deviation', total=len(tracks))
-        for (imu, _), track in zip(topics, tracks, strict=True):
-            facts = bag_facts(bag, track, sha256)
-            span = temperature_span(bag, track.topic, present)
-            findings.append(_finding(imu, track, facts, span))
-            progress.advance(task)
+    findings = []
+    for (imu, _), track in _steps(list(zip(topics, tracks, strict=True)), 'Allan deviation'):
+        facts = bag_facts(bag, track, sha256)
+        findings.append(_finding(imu, track, facts, temperature_span(bag, track.topic, present)))
     return findings
+
+
+def _bar() -> Progress:
+    console = Console(stderr=True)
+    return Progress(console=console, transient=True, disable=not console.is_terminal)
+
+
+def _steps(items: Sequence[T], what: str) -> Iterator[T]:
+    """Yield the items, each of which takes about a second, under a bar on a terminal's stderr."""
+    with _bar() as bar:
+        yield from bar.track(items, description=what)
 
 
 def _finding(
@@ -158,7 +167,9 @@ def _write_report(folder: Path, bag: Path, findings: Sequence[Finding]) -> None:
     except OSError as error:
         msg = f'Cannot make the folder `{folder}`: {error.strerror}; choose a writable place.'
         raise ConfigError(msg) from error
-    sections = [part for f in findings for part in noise_sections(f.name, f.model)]
+    sections = [
+        part for f in _steps(findings, 'Drawing') for part in noise_sections(f.name, f.model)
+    ]
     lead = f'What {len(findings)} IMUs say at rest, and how sure that is.'
     write_page(folder / 'allan.html', f'Noise: {bag.resolve().name}', lead, sections)
 
