@@ -17,7 +17,9 @@ from multiimu_ros.arrays import Vector, Vectors
 from multiimu_ros.calibration.sensor_model import affine
 from multiimu_ros.errors import ConfigError
 from multiimu_ros.fused_frame import FusedFrame, write_record
+from multiimu_ros.fusion.age import is_dated
 from multiimu_ros.fusion.array_fusion import ArrayFusion, ArrayFusionConfig, FusedImu
+from multiimu_ros.fusion.drift import Disagreement, DriftMonitor
 from multiimu_ros.fusion.rig_model import bias_walk_density, rig_model
 from multiimu_ros.odometry.attitude import AttitudeFilter
 from multiimu_ros.odometry.error_state import ErrorStateFilter
@@ -28,7 +30,7 @@ from multiimu_ros.registration.transform import mounting
 from multiimu_ros.rig import Rig
 from multiimu_ros.synchronization.synchronizer import Scan, SyncConfig, Synchronizer
 
-__all__ = ['FusedFrame', 'ImuHealth', 'Pipeline', 'PipelineConfig']
+__all__ = ['FusedFrame', 'ImuHealth', 'Pipeline', 'PipelineConfig', 'Rest']
 
 Input = Literal['raw', 'calibrated', 'registered']
 ProfileName = Literal['hand', 'foot', 'vehicle']
@@ -94,6 +96,23 @@ class ImuHealth:
     received: int
     rejected: int
     gaps: int
+    disagreement: Disagreement
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What the gyro bias was learnt from.
+
+    Parameters
+    ----------
+    seconds : float
+        Of rest, all together [s].
+    last_ns : int
+        Stamp of the last of it [ns]; 0 where there was none.
+    """
+
+    seconds: float
+    last_ns: int
 
 
 class Pipeline:
@@ -113,8 +132,17 @@ class Pipeline:
         self._build()
 
     def _build(self) -> None:
+        self._synchronizer = _entrance(self._rig, self._config)
+        self._jumps = -1  # before the first scan
+        self._weights = np.zeros(len(self._rig.imus))
+        self.frames = 0
+        self.empty_scans = 0
+        self._build_filters(None)
+
+    def _build_filters(self, now_ns: int | None) -> None:
+        """Build what believes the rig file's biases as much as their age allows."""
         rig, config = self._rig, self._config
-        model = rig_model(rig)
+        model = rig_model(rig, now_ns)
         walk = bias_walk_density(rig)
         bias_sigma = np.sqrt(model.bias_variance.sum(axis=0)) / len(model.bias_variance)
         detector, attitude, odometry = odometry_configs(
@@ -125,17 +153,14 @@ class Pipeline:
             rate_bias_walk=walk[:3],
             force_bias_walk=walk[3:],
         )
-        self._synchronizer = _entrance(rig, config)
         self._fusion = ArrayFusion(model, MOTION[config.profile])
+        self._drift = DriftMonitor(rig, model)
         self._detector = StillnessDetector(detector)
         self._rest = RestBuffer(attitude.resting_lag)
         self._attitude = AttitudeFilter(attitude)
         self._odometry = ErrorStateFilter(odometry)
         self._last_ns: int | None = None
-        self._jumps = 0
-        self._weights = np.zeros(len(rig.imus))
-        self.frames = 0
-        self.empty_scans = 0
+        self._rested_s, self._rested_ns = 0.0, 0
 
     def reset(self) -> None:
         """Start anew, as after construction."""
@@ -162,11 +187,7 @@ class Pipeline:
 
     def _step(self, scan: Scan) -> FusedFrame | None:
         if self._synchronizer.time_jumps != self._jumps:
-            self._jumps = self._synchronizer.time_jumps
-            self._fusion.restart()
-            self._odometry.reset_motion()
-            self._rest.clear()
-            self._last_ns = None
+            self._begin(scan.stamp_ns)
         fused = self._fusion.push(scan)
         if fused is None:
             self.empty_scans += 1
@@ -174,6 +195,18 @@ class Pipeline:
         self._weights = fused.weights
         self.frames += 1
         return self._navigate(fused)
+
+    def _begin(self, stamp_ns: int) -> None:
+        """Age the rig file to the first scan, or forget the motion where time has jumped."""
+        if self._jumps >= 0:
+            self._fusion.restart()
+            self._drift.restart()
+            self._odometry.reset_motion()
+            self._rest.clear()
+            self._last_ns = None
+        elif is_dated(self._rig):
+            self._build_filters(stamp_ns)
+        self._jumps = self._synchronizer.time_jumps
 
     def _navigate(self, fused: FusedImu) -> FusedFrame:
         """Move attitude and odometry on by one fused reading."""
@@ -188,6 +221,11 @@ class Pipeline:
         for sample in self._rest.push(Sample(dt, rate, force, *densities, still, resting)):
             attitude.step(sample)
             odometry.step(sample)
+            if sample.resting:
+                self._rested_s += sample.dt
+                self._rested_ns = fused.stamp_ns
+        if fused.stamp_ns >= self._drift.due_ns:
+            self._drift.take(self._fusion.block, fused.stamp_ns, resting)
         return self._frame(fused, still)
 
     def _frame(self, fused: FusedImu, still: bool) -> FusedFrame:
@@ -204,6 +242,8 @@ class Pipeline:
 
     def health(self) -> tuple[ImuHealth, ...]:
         """Return state and counters of every IMU."""
+        streams, drift = self._synchronizer.health(), self._drift.disagreements()
+        columns = (self._rig.names, streams, self._weights, drift)
         return tuple(
             ImuHealth(
                 name=name,
@@ -213,10 +253,9 @@ class Pipeline:
                 received=stream.received,
                 rejected=stream.backward + stream.invalid + stream.stuck,
                 gaps=stream.gaps,
+                disagreement=disagreement,
             )
-            for name, stream, weight in zip(
-                self._rig.names, self._synchronizer.health(), self._weights, strict=True
-            )
+            for name, stream, weight, disagreement in zip(*columns, strict=True)
         )
 
     @property
@@ -224,21 +263,25 @@ class Pipeline:
         """How often the stamps went back by more than `SyncConfig.jump_s`."""
         return self._synchronizer.time_jumps
 
-    def biases(self) -> tuple[Vectors, Vectors]:
+    def biases(self) -> tuple[Vectors, Vectors, Rest]:
         """Return what is known of each IMU's bias, in the base frame.
 
         Returns
         -------
         (K, 6) array
-            Bias of rate [rad/s] and force [m/s^2]: offset from the fused IMU plus its own bias.
+            Bias of rate [rad/s] and force [m/s^2]: what an IMU reads at rest beside the fused one,
+            plus the bias of the fused one; NaN for an IMU that has not rested.
         (K, 6) array
-            Variance; that of the common bias, which dominates.
+            Variance of each, as of K independent errors whose mean has the variance of the fused
+            bias; with what gravity makes of scale, which a rest cannot tell from a bias.
+        Rest
+            What the rate was learnt from.
         """
         common = np.concatenate([self._attitude.gyro_bias, self._odometry.accel_bias])
-        P = self._odometry.P
-        variance = np.concatenate([np.diag(self._attitude.P)[3:], np.diag(P)[12:]])
-        offsets = self._fusion.offsets
-        return offsets + common, np.broadcast_to(variance, offsets.shape)
+        shared = np.concatenate([np.diag(self._attitude.P)[3:], np.diag(self._odometry.P)[12:]])
+        offsets, variance = self._drift.rest_offsets()
+        rest = Rest(self._rested_s, self._rested_ns)
+        return offsets + common, variance + len(variance) * shared, rest
 
 
 def _entrance(rig: Rig, config: PipelineConfig) -> Synchronizer:

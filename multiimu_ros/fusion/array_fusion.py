@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiimu_ros.arrays import Scalars, Vector, Vectors
-from multiimu_ros.fusion.fuse_scan import fuse_scan_door, FusionState
+from multiimu_ros.fusion.fuse_scan import fuse_scan_door, FusionState, SUMS
 from multiimu_ros.fusion.rig_model import RigModel
 from multiimu_ros.fusion.rigid_body import HISTORY
 from multiimu_ros.synchronization.synchronizer import Scan
@@ -97,7 +97,7 @@ class ArrayFusion:
         self._motion = np.repeat([config.angular_acceleration_sigma, config.jerk_sigma], 3)
         count = len(model.density)
         self._state = FusionState(
-            np.zeros((2, 6)), np.zeros((count, 6)), np.zeros((2, count)),
+            np.zeros((2, 6)), np.zeros((count, 6)), np.zeros((count + 1, 9)),
             np.zeros(HISTORY, np.int64), np.zeros((HISTORY, 3)), np.zeros(1, np.int64),
             np.zeros(1),
         )  # fmt: skip
@@ -110,11 +110,21 @@ class ArrayFusion:
         self._state.fused[1] = np.inf
         self._state.scans[0] = 0
         self._state.period[0] = 0.0
+        self.block[:] = 0.0
 
     @property
     def offsets(self) -> Vectors:
         """Bias of each IMU (K, 6) relative to the fused one [rad/s], [m/s^2]."""
         return self._state.offsets.copy()
+
+    @property
+    def block(self) -> Vectors:
+        """Sums (K + 1, 7) over the scans since somebody emptied it, for `DriftMonitor`.
+
+        Row i: the readings of IMU i without their lever arm, and the scans in which it was fully
+        trusted; last row: the fused values, and all scans.
+        """
+        return self._state.tally[:, SUMS:]
 
     def push(self, scan: Scan) -> FusedImu | None:
         """Fuse one scan; None if no IMU can be trusted in it."""

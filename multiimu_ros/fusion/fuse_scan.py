@@ -20,6 +20,9 @@ from multiimu_ros.fusion.rigid_body import lever_arm_matrix, push_slope
 ALIGNMENT_TIME = 2.0  # [s] long against vibration, short against a warming sensor's drift
 STARTING_PERIOD = 0.005  # [s] believed for the first two scans only
 PERIOD_MEMORY = 64  # scans that the running mean of the period looks back
+# Columns of the tally: scans averaged into an offset, share in the last scan; then, since somebody
+# emptied them, the sums of the readings without their lever arm, and the scans that they are of.
+SCANS, SHARE, SUMS, COUNT = 0, 1, 2, 8
 
 
 class FusionState(NamedTuple):
@@ -27,7 +30,7 @@ class FusionState(NamedTuple):
 
     fused: Vectors  # (2, 6): values and variance
     offsets: Vectors  # (K, 6): e_i
-    trust: Vectors  # (2, K): scans averaged into each offset; share in the last scan
+    tally: Vectors  # (K + 1, 9): see `SCANS`, `SHARE`, `SUMS`; the last row is of the fused IMU
     stamps: Stamps  # (HISTORY,) of the fused rates, for their slope
     rates: Vectors  # (HISTORY, 3)
     scans: Stamps  # (1,): how many of them are valid
@@ -84,7 +87,8 @@ def fuse_scan(
         _align(model, state, z, b, dt, share, out)
     else:  # all are on probation: nothing to align them with
         out[:] = np.nan
-    state.trust[1] = share
+    for i in range(len(z)):
+        state.tally[i, SHARE] = share[i]
     return out, weights
 
 
@@ -159,10 +163,15 @@ def _align(
     for i in range(len(z)):
         if np.isnan(z[i, 0]):
             continue
-        if share[i] == 0.0 and state.trust[1, i] > 0.0:
-            state.trust[0, i] = 0.0  # back from an outage, perhaps with another bias
-        state.trust[0, i] += 1.0
-        gain = max(min(dt / ALIGNMENT_TIME, 1.0), 1.0 / state.trust[0, i])
+        tally = state.tally[i]
+        if share[i] == 0.0 and tally[SHARE] > 0.0:
+            tally[SCANS] = 0.0  # back from an outage, perhaps with another bias
+        tally[SCANS] += 1.0
+        gain = max(min(dt / ALIGNMENT_TIME, 1.0), 1.0 / tally[SCANS])
+        if share[i] == 1.0:
+            tally[COUNT] += 1.0
+            for axis in range(6):
+                tally[SUMS + axis] += z[i, axis] + state.offsets[i, axis]
         for axis in range(6):
             block = 3 * (axis // 3)
             from_scale = 0.0
@@ -178,6 +187,10 @@ def _align(
                 state.offsets[i, axis] += step
                 drift[axis] += b[i, axis] * step
     state.offsets[:] -= drift  # IMUs of different age or scale: keep sum b_i e_i as it is
+    tally = state.tally[len(z)]
+    tally[COUNT] += 1.0
+    for axis in range(6):
+        tally[SUMS + axis] += out[0, axis]
     out[3] = np.sqrt(out[3])
 
 
@@ -189,7 +202,7 @@ def fuse_scan_door(
     lever_arms_b: Vectors,
     fused: Vectors,
     offsets: Vectors,
-    trust: Vectors,
+    tally: Vectors,
     stamps: Stamps,
     rates: Vectors,
     scans: Stamps,
@@ -202,5 +215,5 @@ def fuse_scan_door(
 ) -> tuple[Vectors, Scalars]:
     """Call `fuse_scan` with the arrays of its tuples, which numba would study at every call."""
     model = RigModel(density, bias_variance, scale_variance, lever_arms_b)
-    state = FusionState(fused, offsets, trust, stamps, rates, scans, period)
+    state = FusionState(fused, offsets, tally, stamps, rates, scans, period)
     return fuse_scan(model, state, motion, stamp, values, share, noise_gain)

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiimu_ros.arrays import Matrix, Vector, Vectors
+from multiimu_ros.fusion.age import bias_ages
 from multiimu_ros.rig import (
     Extrinsics,
     Imu,
@@ -22,6 +23,8 @@ LEAST_SIGMA = (
     1e-9  # of noise density and bias: zeros, as of a perfect simulation, weigh infinitely
 )
 NOMINAL_ANGLE_SIGMA = 0.01  # [rad] an IMU soldered and mounted by hand, not registered
+# [rad/s per m/s^2] of cheap gyroscopes, 0.05 deg/s per g; their data sheets do not say
+NOMINAL_G_SENSITIVITY_SIGMA = 9e-5
 
 
 class RigModel(NamedTuple):
@@ -45,10 +48,18 @@ class RigModel(NamedTuple):
     lever_arms_b: Vectors
 
 
-def rig_model(rig: Rig) -> RigModel:
-    """Collect what the fusion stage must know; blocks that are absent count as nominal."""
+def rig_model(rig: Rig, now_ns: int | None = None) -> RigModel:
+    """Collect what the fusion stage must know; blocks that are absent count as nominal.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig file.
+    now_ns : int, optional
+        Instant to which dated biases age [ns since 1970]; by default they do not.
+    """
     density = np.sqrt(np.stack([_rotated(imu, _density(imu) ** 2) for imu in rig.imus]))
-    bias_variance = np.stack([_rotated(imu, _bias_variance(imu)) for imu in rig.imus])
+    bias_variance = np.stack([_rotated(imu, _bias_variance(imu, now_ns)) for imu in rig.imus])
     return RigModel(
         np.maximum(density, LEAST_SIGMA),
         np.maximum(bias_variance, LEAST_SIGMA**2),
@@ -57,10 +68,24 @@ def rig_model(rig: Rig) -> RigModel:
     )
 
 
+def bias_walks(rig: Rig) -> Vectors:
+    """Return how fast the variance (K, 6) of each bias grows [(rad/s)^2/s], [(m/s^2)^2/s]."""
+    return np.stack([_rotated(imu, _walk(imu) ** 2) for imu in rig.imus])
+
+
 def bias_walk_density(rig: Rig) -> Vector:
     """Return the driving noise (6,) of the fused bias: that of the mean of K independent walks."""
-    walks = np.stack([_rotated(imu, _walk(imu) ** 2) for imu in rig.imus])
+    walks = bias_walks(rig)
     return np.asarray(np.sqrt(walks.sum(axis=0)) / len(walks))
+
+
+def response_variance(rig: Rig) -> Matrix:
+    """Return the variance (K, 6, 6) of each reading per squared true reading.
+
+    As `RigModel.scale_variance`, with what it leaves out: the g-sensitivity of the gyroscopes,
+    and misalignments that the file does not vouch for.
+    """
+    return np.stack([_response_variance(imu) for imu in rig.imus])
 
 
 def _six(figure: PerTriad) -> Vector:
@@ -91,8 +116,11 @@ def _rotated(imu: Imu, variance: Vector) -> Vector:
     return np.concatenate([square @ variance[:3], square @ variance[3:]])
 
 
-def _bias_variance(imu: Imu) -> Vector:
-    """Return the variance of what calibration left of the bias, drift since then included."""
+def _bias_variance(imu: Imu, now_ns: int | None) -> Vector:
+    """Return the variance of what calibration left of the bias, drift since then included.
+
+    It walks away with age, but not beyond what a sensor that nobody calibrated may have.
+    """
     instability = _noise(imu).bias_instability
     drift = np.zeros(6) if instability is None else _six(instability)
     intrinsics = Intrinsics() if imu.intrinsics is None else imu.intrinsics
@@ -102,7 +130,9 @@ def _bias_variance(imu: Imu) -> Vector:
         [known if triad.bias_sigma is None else triad.bias_sigma
          for triad, known in zip(triads, nominal, strict=True)]
     )  # fmt: skip
-    return np.asarray(sigma**2 + drift**2)
+    limit = np.maximum(sigma, _six(NOMINAL_BIAS_SIGMA)) ** 2
+    aged = sigma**2 + _walk(imu) ** 2 * np.repeat(bias_ages(imu, now_ns), 3)
+    return np.asarray(np.minimum(aged, limit) + drift**2)
 
 
 def _scale_variance(imu: Imu) -> Matrix:
@@ -115,6 +145,23 @@ def _scale_variance(imu: Imu) -> Matrix:
     ):
         variance[block, block] = square @ _triad_variance(triad, nominal) @ square.T
         variance[block, block] += _mounting_variance(_extrinsics(imu))
+    return variance
+
+
+def _response_variance(imu: Imu) -> Matrix:
+    intrinsics = Intrinsics() if imu.intrinsics is None else imu.intrinsics
+    square = _extrinsics(imu).R_bs ** 2
+    variance = _scale_variance(imu)
+    for block, triad in (
+        (slice(0, 3), intrinsics.gyroscope),
+        (slice(3, 6), intrinsics.accelerometer),
+    ):
+        if triad.misalignment_sigma is None:
+            skewed = NOMINAL_ANGLE_SIGMA**2 * (1.0 - np.eye(3))
+            variance[block, block] += square @ skewed @ square.T
+    known = intrinsics.gyroscope.g_sensitivity_sigma
+    leak = np.full((3, 3), NOMINAL_G_SENSITIVITY_SIGMA) if known is None else np.array(known)
+    variance[:3, 3:] = square @ leak**2 @ square.T
     return variance
 
 

@@ -1,14 +1,22 @@
 """The fusion node's lines on /diagnostics."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+import math
 import time
 
+from multiimu_ros.fusion.drift import Gap
 from multiimu_ros.nodes.diagnostics import ERROR, OK, STALE, Status, WARN
 from multiimu_ros.nodes.inputs import ImuInput
 from multiimu_ros.pipeline import ImuHealth, Pipeline
 
 SILENT_S = 0.5  # the pipeline knows an IMU is absent from the others; this is for when all are
 LEVELS = {'ok': OK, 'probation': WARN, 'disabled': WARN}  # all else is an error
+# What may drift, as people say it: of one, of two that cannot be told apart; unit, factor.
+QUANTITIES = {
+    'rate': ('its rate is off by', 'their rates differ by', 'deg/s', math.degrees(1.0)),
+    'force': ('its force is off by', 'their forces differ by', 'm/s^2', 1.0),
+    'turn': ('its rate in a turn is off by', 'their rates in a turn differ by', '%', 100.0),
+}
 
 
 class FusionReport:
@@ -36,15 +44,16 @@ class FusionReport:
             Frames that were not published.
         """
         health = self._pipeline.health()
+        names = [imu.name for imu in health]
         pairs = zip(health, self._streams, strict=True)
-        imus = [_imu_status(imu, stream) for imu, stream in pairs]
-        return [self._fusion_status(imus, not_finite), *imus]
+        imus = [_imu_status(imu, stream, names) for imu, stream in pairs]
+        return [self._fusion_status(imus, not_finite), *(status for status, _ in imus)]
 
-    def _fusion_status(self, imus: Sequence[Status], not_finite: int) -> Status:
+    def _fusion_status(self, imus: Sequence[tuple[Status, bool]], not_finite: int) -> Status:
         now, frames = time.monotonic(), self._pipeline.frames
         then, frames_then = self._before
         self._before = (now, frames)
-        faulty = [status.component for status in imus if status.level != OK]
+        faulty = [status.component for status, usable in imus if not usable]
         level, message = OK, 'ok'
         if len(faulty) == len(imus):
             level, message = STALE, 'no IMU is usable'
@@ -60,13 +69,17 @@ class FusionReport:
         return Status('fusion', level, message, figures)
 
 
-def _imu_status(imu: ImuHealth, stream: ImuInput) -> Status:
+def _imu_status(imu: ImuHealth, stream: ImuInput, names: Sequence[str]) -> tuple[Status, bool]:
+    """Return the status of one IMU, and whether fusion makes use of it."""
     state = imu.state
     if state in ('ok', 'probation') and stream.silent_s() > SILENT_S:
         state = 'absent'
     level = LEVELS.get(state, ERROR)
     if not stream.received:
         level, state = STALE, f'nothing came yet on {stream.topic}'
+    usable = level == OK
+    if usable and (advice := _advice(imu, names)):  # one that drifts is still better than none
+        level, state = WARN, advice
     figures = {
         'rate [Hz]': imu.rate_hz,
         'weight': imu.weight,
@@ -75,4 +88,27 @@ def _imu_status(imu: ImuHealth, stream: ImuInput) -> Status:
         'rejected': imu.rejected,
         'gaps': imu.gaps,
     }
-    return Status(imu.name, level, state, figures)
+    return Status(imu.name, level, state, figures | dict(_drift_figures(imu))), usable
+
+
+def _drift_figures(imu: ImuHealth) -> Iterator[tuple[str, float]]:
+    for name, (*_, unit, factor) in QUANTITIES.items():
+        gap: Gap = getattr(imu.disagreement, name)
+        yield f'{name} beside the others [{unit}]', factor * gap.value
+        yield f'{name} beside the others, sigma [{unit}]', factor * gap.sigma
+
+
+def _advice(imu: ImuHealth, names: Sequence[str]) -> str:
+    """Say which IMUs to calibrate anew, and why; nothing if they agree."""
+    reasons, suspects = [], {imu.name}
+    for name, (alone, together, unit, factor) in QUANTITIES.items():
+        gap: Gap = getattr(imu.disagreement, name)
+        if gap.raised:
+            suspects |= {names[k] for k in gap.rivals}
+            how = together if gap.rivals else alone
+            size = f'{factor * gap.value:.2g} {unit}'
+            reasons.append(f'{how} {size}, {gap.value / gap.sigma:.0f} sigma')
+    if not reasons:
+        return ''
+    advice = f'recalibrate {" and ".join(sorted(suspects))}: {"; ".join(reasons)}'
+    return advice if len(suspects) == 1 else f'{advice}; of two nobody can say which is wrong'
