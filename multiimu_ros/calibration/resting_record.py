@@ -72,7 +72,7 @@ def resting_record(samples: ImuSamples, name: str, least_s: float = LEAST_S) -> 
     piece, rate_hz = gap_free(samples)
     begin, end = longest_rest(piece, rate_hz)
     kept = piece.select(slice(begin, end))
-    if end - begin < least_s * rate_hz:
+    if not end - begin >= least_s * rate_hz:  # also where there is no rate
         rests = f'rests for {(end - begin) / rate_hz:.0f} s at a stretch' if end else 'never rests'
         msg = (
             f'`{name}` must lie still without gaps for {least_s:.0f} s, but {rests}; record 10 '
@@ -140,7 +140,7 @@ def longest_rest(samples: ImuSamples, rate_hz: float) -> tuple[int, int]:
     still &= np.linalg.norm(rate - np.median(rate[still], axis=0), axis=1) < RATE_CHANGE
     moved = np.linalg.norm(np.diff(force, axis=0), axis=1)
     allowed = FORCE_CHANGE + 5 * force_scatter[1:] / np.sqrt(window)
-    still[1:] &= moved < allowed
+    still[1:] &= (moved < allowed) | ~still[:-1]  # a moving neighbour says nothing
     begin, end = longest_run(still)
     first = window * (begin + (begin > 0))
     last = len(samples) if end == count else window * (end - 1)
