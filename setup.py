@@ -29,6 +29,7 @@ setup(
     python_requires='>=3.11',
     install_requires=[
         'setuptools',
+        'allantools',
         'matplotlib',
         'numba',
         'numpy',
