@@ -170,10 +170,10 @@ def _row(finding: dict[str, Any]) -> dict[str, Any]:
     return {
         'topic': finding['topic'],
         'count': finding['count'],
-        'rate [Hz]': finding['rate_hz'],
+        'Hz': finding['rate_hz'],
         'time [s]': finding['duration_s'],
-        'rate [rad/s]': finding['median_rate'],
-        'force [m/s^2]': finding['median_force'],
+        'rad/s': finding['median_rate'],
+        'm/s^2': finding['median_force'],
         'problems': len(finding['complaints']),
     }
 

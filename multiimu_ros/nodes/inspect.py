@@ -22,6 +22,7 @@ from multiimu_ros.nodes.run import run
 from multiimu_ros.nodes.watch import explain_silence, IMU_TYPE, PATIENCE_S
 
 LOOK_S = 0.25
+DISCOVERY_S = 4.0  # Fast DDS repeats an announcement that was lost after 3 s
 NOBODY = (
     'nobody publishes a topic `*/data_raw` of type sensor_msgs/msg/Imu; start the driver, or name '
     'what to watch with `--topics`.'
@@ -108,7 +109,7 @@ class InspectNode(Node):
     def _silences(self) -> Sequence[str]:
         now = time.monotonic()
         if not self._ears:
-            return [NOBODY] if now > self._begin + PATIENCE_S else []
+            return [NOBODY] if now > self._begin + DISCOVERY_S else []
         return [
             explain_silence(self, ear.subscription, ear.malformed)
             for ear in self._ears.values()
