@@ -50,7 +50,7 @@ class SixPositionFit:
     tilt_sigma : float
         Given or found; 0 where noise explains the residuals, NaN without variances [rad].
     R_js : Rotation
-        Maps vectors of the calibrated triad into the jig's frame; the identity in general.
+        From the frame of the calibrated triad to the jig's; the identity in general.
     rotation_covariance : (3, 3) array
         Of theta in R_js = R_hat exp(theta) [rad^2].
     """
@@ -85,11 +85,11 @@ def fit_two_position(
             msg += f'about {2 * reference:.4g} apart; check whether a position is upside down.'
             raise CalibrationError(msg)
     scale = 2 * reference / (plus - minus)
-    sigmas = {}
+    found = {'bias': (plus + minus) / 2, 'scale': scale}
     if variances is not None:
         sigma = np.sqrt(as_matrix(variances, 'variances', (2, 3)).sum(axis=0)) / 2
-        sigmas = {'bias_sigma': sigma.tolist(), 'scale_sigma': (scale**2 * sigma / reference)}
-    return Triad.model_validate({'bias': (plus + minus) / 2, 'scale': scale} | sigmas)
+        found |= {'bias_sigma': sigma, 'scale_sigma': scale**2 * sigma / reference}
+    return Triad.model_validate(found)
 
 
 def fit_accelerometer(
@@ -122,8 +122,8 @@ def fit_accelerometer(
     CalibrationError
         If a position is missing, repeated, upside down or tilted; names it.
     """
-    fit = _fit(readings, gravity, variances, tilt_sigma)
-    return _finish(fit, _own_frame if upper_triangular else _jig_frame)
+    choose = _own_frame if upper_triangular else _jig_frame
+    return _finish(_fit(readings, gravity, variances, tilt_sigma), choose)
 
 
 def fit_gyroscope(
@@ -158,8 +158,8 @@ def fit_gyroscope(
     fit = _fit(readings, rate, variances, tilt_sigma)
     if accelerometer is None:
         return _finish(fit, _jig_frame)
-    R_js, covariance = accelerometer.R_js, accelerometer.rotation_covariance
-    return _finish(fit, lambda linear: (R_js.inv().as_matrix() @ linear, R_js), covariance)
+    R_js, turn = accelerometer.R_js, accelerometer.rotation_covariance
+    return _finish(fit, lambda linear: (R_js.inv().as_matrix() @ linear, R_js), turn)
 
 
 @dataclass(frozen=True)
@@ -192,8 +192,8 @@ def _fit(
     units = np.array([reference, reference, reference, 1.0])
     blocks /= np.outer(units, units)
     residual_rms = float(np.sqrt(np.mean((U - DESIGN @ solution) ** 2)))
-    scaled = (solution / units[:, np.newaxis]).T  # (3, 4)
-    return _LinearFit(scaled[:, :3], scaled[:, 3], block_diag(*blocks), residual_rms, tilt)
+    T, B = np.split((solution / units[:, np.newaxis]).T, [3], axis=1)
+    return _LinearFit(T, B[:, 0], block_diag(*blocks), residual_rms, tilt)
 
 
 def _solve(U: Vectors, weights: Vectors) -> tuple[Matrix, Matrix]:
@@ -203,7 +203,7 @@ def _solve(U: Vectors, weights: Vectors) -> tuple[Matrix, Matrix]:
 
 
 def _with_tilt(noise: Vectors, sway: float) -> Vectors:
-    """Return the variances (6, 3) with those of a tilt added to the axes across the input."""
+    """Add the variance of a tilt to those of the axes across the input (6, 3)."""
     return np.asarray(noise + sway**2 * (INPUTS == 0))
 
 
@@ -226,10 +226,9 @@ def _check_positive(value: float, name: str) -> None:
 
 
 def _check_positions(U: Vectors, reference: float) -> None:
-    for name, row in zip(POSITIONS, U, strict=True):
-        if not np.isfinite(row).all():
-            msg = f'Position `{name}` is missing; record the IMU with {name} up.'
-            raise CalibrationError(msg)
+    for name in np.array(POSITIONS)[~np.isfinite(U).all(axis=1)]:
+        msg = f'Position `{name}` is missing; record the IMU with {name} up.'
+        raise CalibrationError(msg)
     # One or two wrong positions do not move the median of the six from the bias.
     scores = (U - np.median(U, axis=0)) @ INPUTS.T / reference  # (6, 6)
     shown = np.argmax(scores, axis=1)
@@ -282,8 +281,8 @@ def _finish(
     at: Scalars = np.concatenate([np.column_stack([fit.T, fit.B]).ravel(), np.zeros(3)])
     J = _jacobian(parameters, at)
     covariance = J @ block_diag(fit.covariance, frame_covariance) @ J.T
-    values, sigma = parameters(at), np.sqrt(np.diag(covariance))
-    triad = Triad.model_validate(_named(values, '') | _named(sigma, '_sigma'))
+    sigmas = _named(np.sqrt(np.diag(covariance)), '_sigma')
+    triad = Triad.model_validate(_named(parameters(at), '') | sigmas)
     return SixPositionFit(triad, fit.residual_rms, fit.tilt_sigma, R_js, covariance[-3:, -3:])
 
 

