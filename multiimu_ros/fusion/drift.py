@@ -1,11 +1,11 @@
 """Which IMU no longer agrees with the rest, beyond what the rig file allows.
 
-The fusion stage adds up what each IMU reads; ten times a second the sums come here.  At rest their
-means show how far rates and forces are apart, in motion a regression on the fused rate shows how
-far the gyroscopes' answers to a turn are.  Every few seconds each IMU is compared with the mean of
-the others, in units of the sigma that the rig file, its age and the noise explain; the worst is
-set aside while it is beyond, so that the healthy ones are compared among themselves.  Of two IMUs
-nobody can say which is wrong: both are named.  Nothing here changes a fused value.
+The fusion stage adds up what each IMU reads; ten times a second the sums come here.  Their means
+show how far rates and forces are apart, best at rest; in motion a regression on the fused rate
+shows how far the gyroscopes' answers to a turn are.  Every few seconds each IMU is compared with
+the mean of the others, in units of the sigma that the rig file, its age and the noise explain; the
+worst is set aside while it is beyond, so that the healthy ones are compared among themselves.  Of
+two IMUs nobody can say which is wrong: both are named.  Nothing here changes a fused value.
 
 Equations: docs/derivations/fusion.md.
 """
@@ -17,8 +17,13 @@ from typing import NamedTuple
 import numpy as np
 
 from multiimu_ros.arrays import Flags, NANOSECONDS, Vectors
-from multiimu_ros.fusion.block_sums import add_motion, add_rest, MOTION_SIZE, REST_SIZE, slopes
-from multiimu_ros.fusion.rig_model import bias_walks, response_variance, RigModel
+from multiimu_ros.fusion import block_sums as sums
+from multiimu_ros.fusion.rig_model import (
+    bias_walks,
+    lever_arm_variance,
+    response_variance,
+    RigModel,
+)
 from multiimu_ros.rig import Rig
 
 BLOCK_S = 0.1  # [s] a hand turns hardly within it
@@ -28,7 +33,8 @@ EVERY_S = (2.0, 5.0)  # of rest and of motion, between two judgements
 RAISE, CLEAR = 6.0, 4.0  # sigma; 6 where the sigmas of a real file are 20 % too small is still 5
 PERSISTS, CALMS = 2, 5  # judgements in a row that raise and clear
 ALIKE_S = 0.4  # [s] errors in motion, as of a stamp, last as long as a hand takes to turn
-RATE, FORCE, TURN = 0, 1, 2  # columns of all that is judged
+# Columns of all that is judged; rate and force in motion too: errors may be too large for a rest.
+RATE, FORCE, TURN, MOVING_RATE, MOVING_FORCE = range(5)
 REST, MOTION = 0, 1
 
 
@@ -58,9 +64,9 @@ class Disagreement:
     Parameters
     ----------
     rate : Gap
-        Angular rate at rest [rad/s].
+        Angular rate, whatever the motion [rad/s].
     force : Gap
-        Specific force at rest [m/s^2].
+        Specific force, whatever the motion [m/s^2].
     turn : Gap
         Reading per angular rate in motion: scale, misalignment, mounting [-].
     """
@@ -89,15 +95,16 @@ class DriftMonitor:
     def __init__(self, rig: Rig, model: RigModel) -> None:
         count = len(rig.imus)
         self._model, self._walks, self._response = model, bias_walks(rig), response_variance(rig)
-        self._rest = np.zeros((count, REST_SIZE))
-        self._moments = np.zeros((count, MOTION_SIZE, MOTION_SIZE))
+        self._arms = lever_arm_variance(rig)
+        self._rest = np.zeros((count, sums.SIZE))
+        self._moments = np.zeros((count, sums.SIZE, sums.SIZE))
         self._elapsed_s = 0.0
         self._seconds = [0.0, 0.0]
-        self._values = np.full((count, 3), np.nan)
-        self._sigmas = np.full((count, 3), np.nan)
-        self._beyond, self._calm = np.zeros((2, count, 3), np.int64)
-        self._raised = np.zeros((count, 3), bool)
-        self._pairs: list[tuple[int, ...]] = [(), (), ()]
+        self._values = np.full((count, 5), np.nan)
+        self._sigmas = np.full((count, 5), np.nan)
+        self._beyond, self._calm = np.zeros((2, count, 5), np.int64)
+        self._raised = np.zeros((count, 5), bool)
+        self._pairs: list[tuple[int, ...]] = [()] * 5
         self.restart()
 
     def restart(self) -> None:
@@ -130,9 +137,9 @@ class DriftMonitor:
     def _add(self, block: Vectors, span_s: float, kind: int) -> None:
         keep = math.exp(-span_s / MEMORY_S[kind])
         if kind == REST:
-            add_rest(block, self._rest, keep, span_s)
+            sums.add_rest(block, self._rest, keep, span_s)
         else:
-            add_motion(block, self._moments, keep, span_s)
+            sums.add_motion(block, self._moments, keep, span_s)
         self._seconds[kind] += span_s
         if self._seconds[kind] >= EVERY_S[kind]:
             self._seconds[kind] = 0.0
@@ -156,8 +163,18 @@ class DriftMonitor:
     def disagreements(self) -> tuple[Disagreement, ...]:
         """Return what was found at the last judgement, one for each IMU."""
         return tuple(
-            Disagreement(*(self._gap(k, column) for column in (RATE, FORCE, TURN)))
+            Disagreement(
+                self._worse(k, RATE, MOVING_RATE),
+                self._worse(k, FORCE, MOVING_FORCE),
+                self._gap(k, TURN),
+            )
             for k in range(len(self._rest))
+        )
+
+    def _worse(self, k: int, *columns: int) -> Gap:
+        gaps = [self._gap(k, column) for column in columns]
+        return max(
+            gaps, key=lambda gap: (gap.raised, np.nan_to_num(gap.value / gap.sigma, nan=-1))
         )
 
     def _gap(self, k: int, column: int) -> Gap:
@@ -177,11 +194,22 @@ class DriftMonitor:
         self._judge(FORCE, values[:, 3:], variance[:, 3:], known)
 
     def _judge_motion(self) -> None:
-        found, variance = slopes(self._moments, self._model.density[:, :3], ALIKE_S)
-        explained = variance + self._response[:, :3, :3]
-        known = self._moments[:, 0, 0] >= EVERY_S[MOTION] / 2.0
-        count = len(found)
-        self._judge(TURN, found.reshape(count, 9), explained.reshape(count, 9), known)
+        moments = self._moments
+        seconds = moments[:, 0, sums.SECONDS]
+        known = seconds >= EVERY_S[MOTION] / 2.0
+        fit = sums.fit_motion(moments, self._model.density, ALIKE_S)
+        count = len(moments)
+        variance = fit.response_variance + self._response[:, :3, :3]
+        self._judge(TURN, fit.response.reshape(count, 9), variance.reshape(count, 9), known)
+        felt = np.diagonal(moments, axis1=1, axis2=2)[:, sums.FORCE]
+        gravity = np.einsum('kij,kj->ki', self._response[:, :, 3:], felt)
+        drift = self._model.bias_variance + self._walks * self._elapsed_s
+        span = np.maximum(seconds, BLOCK_S)[:, None]
+        gap_variance = fit.gap_variance + drift + gravity / span
+        turned = np.diagonal(moments, axis1=1, axis2=2)[:, sums.RATE].sum(axis=1, keepdims=True)
+        gap_variance[:, 3:] += self._arms * (turned / span) ** 2  # w x (w x r)
+        self._judge(MOVING_RATE, fit.gap[:, :3], gap_variance[:, :3], known)
+        self._judge(MOVING_FORCE, fit.gap[:, 3:], gap_variance[:, 3:], known)
 
     def _judge(self, column: int, values: Vectors, variance: Vectors, known: Flags) -> None:
         if known.sum() < 2:

@@ -25,6 +25,7 @@ LEAST_SIGMA = (
 NOMINAL_ANGLE_SIGMA = 0.01  # [rad] an IMU soldered and mounted by hand, not registered
 # [rad/s per m/s^2] of cheap gyroscopes, 0.05 deg/s per g; their data sheets do not say
 NOMINAL_G_SENSITIVITY_SIGMA = 9e-5
+NOMINAL_ARM_SIGMA, DRAWN_ARM_SIGMA = 0.1, 0.005  # [m] of an unknown mounting; of a drawing
 
 
 class RigModel(NamedTuple):
@@ -86,6 +87,16 @@ def response_variance(rig: Rig) -> Matrix:
     and misalignments that the file does not vouch for.
     """
     return np.stack([_response_variance(imu) for imu in rig.imus])
+
+
+def lever_arm_variance(rig: Rig) -> Vectors:
+    """Return the variance (K, 3) of the lever arms [m^2]; what the file is silent on is wide."""
+    sigmas = []
+    for imu in rig.imus:
+        known = None if imu.extrinsics is None else imu.extrinsics.lever_arm_sigma
+        unknown = NOMINAL_ARM_SIGMA if imu.extrinsics is None else DRAWN_ARM_SIGMA
+        sigmas.append((unknown,) * 3 if known is None else known)
+    return np.square(sigmas)
 
 
 def _six(figure: PerTriad) -> Vector:

@@ -180,7 +180,15 @@ def test_a_response_of_its_own_to_the_rate_is_found_in_motion(rng):
 
 def test_a_bias_is_no_response_to_the_rate(rng):
     gaps = Feed(rng).push(one_off(0, 0, 1.0), 15.0, turning(rng, 15.0))
-    assert raised(gaps) == set()
+    assert raised(gaps) == {(0, 'rate')}
+    assert gaps[0].value == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(('axis', 'name'), [(0, 'rate'), (4, 'force')])
+def test_who_errs_too_much_for_a_rest_to_be_noticed_is_found_all_the_same(rng, axis, name):
+    # The mean of four then turns at 0.25 rad/s and weighs 0.25 m/s^2 too much, for ever.
+    steady = np.tile([0.25, 0.0, 0.0], (110, 1))
+    assert raised(Feed(rng).push(one_off(1, axis, 1.0), 11.0, steady)) == {(1, name)}
 
 
 def test_without_a_turn_nothing_is_known_of_the_response(rng):

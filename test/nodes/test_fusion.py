@@ -1,5 +1,6 @@
 """Fusion and pipeline as processes: the same numbers as the core, faults named, services."""
 
+from datetime import datetime, UTC
 import subprocess
 import sys
 import time
@@ -51,11 +52,11 @@ def send(peer, kind, scan):
         peer.send(f'{NAMES[k]}/data_{kind}', imu_message(f'{NAMES[k]}_link', stamp_ns, values))
 
 
-def stream(peer, kind, scans, keep=lambda k: True):
-    """Send scans at their own pace, those IMUs only that `keep` says."""
+def stream(peer, kind, scans, keep=lambda k: True, pace=1 / RATE_HZ):
+    """Send scans at their own pace or another [s], those IMUs only that `keep` says."""
     for scan in scans:
         send(peer, kind, [reading for reading in scan if keep(reading[0])])
-        peer.spin(1 / RATE_HZ)
+        peer.spin(pace)
 
 
 def statuses(arrays):
@@ -126,22 +127,51 @@ def test_standing_still_is_said_as_a_twist_of_zero(rig_file, rng):
     assert twists[-1].twist.covariance[0] > 0
 
 
-def test_services_reset_disable_and_save(rig_file, rng):
-    before = load_rig(rig_file)
+def test_services_reset_and_disable(rig_file, rng):
     with node_process('fusion', rig_file=rig_file), ros_peer() as peer:
         diagnostics = peer.collect(DiagnosticArray, '/diagnostics', depth=10)
         peer.wait_for_matches([f'{n}/data_registered' for n in NAMES], ['/diagnostics'])
         stream(peer, 'registered', resting_scans(rng, 100, time.time_ns()))
-        assert peer.call(Trigger, 'fusion/save_biases', Trigger.Request()).success
         answer = peer.call(SetBool, 'fusion/enable_imu1', SetBool.Request(data=False))
         assert answer.message == 'imu1 is disabled.'
         peer.spin(0.5)
         assert statuses(diagnostics)['fusion: imu1'].message == 'disabled'
         assert peer.call(Trigger, 'fusion/reset', Trigger.Request()).success
-    after = load_rig(rig_file)
-    assert after.imus[0].intrinsics.gyroscope.bias_sigma is not None
-    assert 'biases_saved' in after.imus[0].provenance
+
+
+def test_one_that_drifted_is_named_and_what_the_rest_taught_is_saved(rig_file, rng):
+    before, start_ns = load_rig(rig_file), time.time_ns()
+    scans = resting_scans(rng, 600, start_ns)
+    for scan in scans:
+        scan[2][2][3] += 5.0  # across gravity; 8 times what the data sheet's 0.4 m/s^2 explain
+    with node_process('fusion', rig_file=rig_file), ros_peer() as peer:
+        diagnostics = peer.collect(DiagnosticArray, '/diagnostics', depth=10)
+        peer.wait_for_matches([f'{n}/data_registered' for n in NAMES], ['/diagnostics'])
+        answer = peer.call(Trigger, 'fusion/save_biases', Trigger.Request())
+        assert not answer.success
+        assert 'lay it down for a few seconds' in answer.message
+        assert load_rig(rig_file) == before
+        stream(peer, 'registered', scans, pace=0.003)  # six seconds by the stamps
+        peer.wait_until(lambda: statuses(diagnostics)['fusion: imu2'].level == b'\x01')
+        sick, *others = (statuses(diagnostics)[f'fusion: {n}'] for n in ('imu2', 'imu0', 'fusion'))
+        assert peer.call(Trigger, 'fusion/save_biases', Trigger.Request()).success
+    assert sick.message.startswith('recalibrate imu2: its force is off by 5 m/s^2, ')
+    assert [status.message for status in others] == ['ok', 'ok']  # it is still made use of
+    figures = {pair.key: float(pair.value) for pair in sick.values}
+    assert figures['force beside the others [m/s^2]'] == pytest.approx(5.0, abs=0.05)
+    # 0.4 m/s^2 of bias, 1 % of scale and tilt of 9.8 m/s^2, beside the mean of two such.
+    sigma = figures['force beside the others, sigma [m/s^2]']
+    assert sigma == pytest.approx(np.sqrt(1.5) * 0.43, rel=0.05)
     assert load_rig(f'{rig_file}.old') == before
+    for imu in load_rig(rig_file).imus:
+        assert 0 < imu.intrinsics.gyroscope.bias_sigma[0] < 2e-3  # g-sensitivity: 9e-4
+        assert imu.intrinsics.accelerometer.bias_sigma is None
+        assert 4.0 < imu.provenance['biases_rest_s'] < 6.0
+        last = datetime.fromisoformat(imu.provenance['biases_last_rest']).timestamp()
+        assert 4.0 < last - start_ns * 1e-9 < 6.0
+        assert imu.provenance['biases_saved'] >= datetime.fromtimestamp(
+            start_ns // 10**9, UTC
+        ).isoformat(timespec='seconds')
 
 
 def test_the_pipeline_also_says_the_stages_that_somebody_wants(rig_file, rng):

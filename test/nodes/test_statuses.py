@@ -1,0 +1,59 @@
+"""What the fusion node says of an IMU that disagrees, and what wins over it."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from multiimu_ros.fusion.drift import Disagreement, Gap
+from multiimu_ros.nodes.diagnostics import ERROR, OK, WARN
+from multiimu_ros.nodes.inputs import ImuInput
+from multiimu_ros.nodes.statuses import FusionReport
+from multiimu_ros.pipeline import ImuHealth
+
+pytestmark = pytest.mark.ros
+
+CALM = Gap(1e-4, 1e-3, raised=False, rivals=())
+
+
+def statuses(*imus):
+    """Return the statuses of fusion and of IMUs, each a state and gaps that are not calm."""
+    health, streams = [], []
+    for k, (state, gaps) in enumerate(imus):
+        gap = Disagreement(**{'rate': CALM, 'force': CALM, 'turn': CALM} | gaps)
+        health.append(ImuHealth(f'imu{k}', state, 200.0, 0.5, 9, 0, 0, gap))
+        streams.append(ImuInput(f'imu{k}/data'))
+        streams[k].take(1)
+    pipeline = SimpleNamespace(health=lambda: health, frames=9, empty_scans=0, time_jumps=0)
+    return FusionReport(pipeline, streams).statuses(0)
+
+
+def test_one_is_named_with_all_that_it_is_off_by():
+    rate = Gap(0.0054105, 0.00067, raised=True, rivals=())  # 0.31 deg/s
+    turn = Gap(0.012, 0.001, raised=True, rivals=())
+    fusion, sick, *_ = statuses(('ok', {'rate': rate, 'turn': turn}), ('ok', {}), ('ok', {}))
+    assert sick.level == WARN
+    assert sick.message == (
+        'recalibrate imu0: its rate is off by 0.31 deg/s, 8 sigma; '
+        'its rate in a turn is off by 1.2 %, 12 sigma'
+    )
+    assert sick.figures['rate beside the others [deg/s]'] == pytest.approx(0.31, rel=1e-3)
+    assert (fusion.level, fusion.message) == (OK, 'ok')
+
+
+def test_of_two_both_are_named_and_neither_is_left_out():
+    pair = [Gap(0.05, 0.005, raised=True, rivals=(1 - k,)) for k in range(2)]
+    fusion, *imus = statuses(*(('ok', {'force': gap}) for gap in pair))
+    for status in imus:
+        assert status.message == (
+            'recalibrate imu0 and imu1: their forces differ by 0.05 m/s^2, 10 sigma; '
+            'of two nobody can say which is wrong'
+        )
+    assert (fusion.level, fusion.message) == (OK, 'ok')
+
+
+@pytest.mark.parametrize(('state', 'level'), [('stuck', ERROR), ('disabled', WARN)])
+def test_a_fault_wins_over_a_drift(state, level):
+    gap = Gap(0.05, 0.005, raised=True, rivals=())
+    fusion, sick, _ = statuses((state, {'force': gap}), ('ok', {}))
+    assert (sick.level, sick.message) == (level, state)
+    assert fusion.message == 'without imu0'
