@@ -160,6 +160,19 @@ def test_a_sensor_of_coarse_steps_rests(rng):
     assert tracked(coarse).rests.is_new.tolist() == [True, True]
 
 
+def test_a_pose_between_two_steps_rests_though_another_lies_on_one(rng):
+    samples = turned_about(0, 1.0, rng)
+    first, flicker = samples.stamp_ns < 3 * NANOSECONDS, np.zeros((len(samples), 3))
+    flicker[first, 0] = np.arange(first.sum()) % 2  # a variance of 1/4 step^2
+    flicker[::RATE_HZ, 0] = 1.0  # of 1/200: no noise of this sensor is 50 times that of another
+    coarse = ImuSamples(
+        samples.stamp_ns,
+        (np.round(samples.angular_rate / 0.05) + flicker) * 0.05,
+        (np.round(samples.specific_force / 0.25) + flicker) * 0.25,
+    )
+    assert tracked(coarse).rests.is_new.tolist() == [True, True]
+
+
 def test_the_last_second_tells_whether_it_rests(rng):
     samples = turned_about(0, 1.0, rng)
     assert tracked(samples).resting
