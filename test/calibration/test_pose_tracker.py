@@ -192,6 +192,18 @@ def test_lever_information_grows_with_the_time_of_waving(poses):
     assert np.linalg.eigvalsh(waved).min() > 20 * np.linalg.eigvalsh(still).min()
 
 
+def test_the_noise_of_a_rest_tells_nothing_of_lever_arms(rng):
+    assert not tracked(turned_about(0, 0.0, rng)).lever_arm_information().any()
+
+
+@pytest.mark.parametrize(('turn', 'soon'), [(15.0, True), (25.0, False)])
+def test_a_turn_of_more_than_20_s_has_drifted(rng, turn, soon):
+    assert tracked(turned_about(0, 6.0, rng, turn=turn)).rests.turned_soon.tolist() == [
+        False,
+        soon,
+    ]
+
+
 def test_nothing_is_known_of_nothing():
     motion = PoseTracker().view()
     assert len(motion.rests) == 0
