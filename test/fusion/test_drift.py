@@ -26,10 +26,10 @@ ZEROS = ((0.0,) * 3,) * 3
 UP = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 9.81])
 
 
-def rig_of(count=COUNT):
+def rig_of(walk=0.0):
     """Return a rig that knows its scale and mounting well."""
     six = PerTriad(accelerometer=(DENSITY,) * 3, gyroscope=(DENSITY,) * 3)
-    still = PerTriad(accelerometer=(0.0,) * 3, gyroscope=(0.0,) * 3)
+    walks = PerTriad(accelerometer=(walk,) * 3, gyroscope=(walk,) * 3)
     known = {
         'bias_sigma': (BIAS_SIGMA,) * 3,
         'scale_sigma': (SCALE_SIGMA,) * 3,
@@ -44,10 +44,10 @@ def rig_of(count=COUNT):
             name=f'imu{k}',
             frame_id='a',
             intrinsics=intrinsics,
-            noise=Noise(noise_density=six, bias_random_walk=still),
+            noise=Noise(noise_density=six, bias_random_walk=walks),
             extrinsics=Extrinsics(rotation_sigma=(0.0,) * 3),
         )
-        for k in range(count)
+        for k in range(COUNT)
     )
     return Rig(version=1, rig=RigFrame(name='test'), imus=imus)
 
@@ -60,8 +60,8 @@ def empty_block():
 class Feed:
     """A monitor, and the blocks that it takes."""
 
-    def __init__(self, rng=None):
-        rig = rig_of()
+    def __init__(self, rng=None, walk=0.0):
+        rig = rig_of(walk)
         self.monitor = DriftMonitor(rig, rig_model(rig))
         self._rng = rng
         self._stamp_ns = 0
@@ -163,6 +163,16 @@ def test_what_is_raised_stays_until_it_has_been_calm_for_long():
     # Forgotten to below 4 sigma in 10 s ln(5/4) = 2.2 s; four judgements later it is not over.
     assert raised(feed.push(np.zeros((COUNT, 6)), 10.0)) == {(1, 'rate')}
     assert raised(feed.push(np.zeros((COUNT, 6)), 4.0)) == set()
+
+
+@pytest.mark.parametrize('rates', [None, np.zeros((620, 3))], ids=['rest', 'motion'])
+def test_biases_may_walk_away_while_the_monitor_runs(rates):
+    walk = 1e-3  # a variance of 1e-6 in a second, as much as the calibration left
+    steady, walking = (
+        Feed(walk=w).push(np.zeros((COUNT, 6)), 62.0, rates)[0].sigma for w in (0.0, walk)
+    )
+    # Judged last after 60 s, or after 60.2 where 0.1 s do not add up to 5 s.
+    assert walking**2 - steady**2 == pytest.approx(walk**2 * 61.0 * 4 / 3, rel=0.03)
 
 
 def test_below_the_threshold_nothing_is_raised():
