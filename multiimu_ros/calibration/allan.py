@@ -87,10 +87,9 @@ def allan_curve(values: Vectors, rate_hz: float) -> AllanCurve:
         msg = f'`values` must be finite, got {bad} samples that are not; cut them out.'
         raise ValueError(msg)
     factor = averaging_factors(len(values))
-    centred = values - values.mean(axis=0)  # or g would cost digits in the running sums
     columns = [
         allantools.oadev(axis, rate=rate_hz, data_type='freq', taus=factor / rate_hz)[1]
-        for axis in centred.T
+        for axis in values.T  # from which it takes the mean: sums of g would cost digits
     ]
     deviation = np.column_stack(columns)
     if not (deviation > 0).all():

@@ -114,9 +114,20 @@ def test_the_length_that_is_asked_for_tells_the_term():
     assert not any(term.determined for term in terms)
     needed = max(term.needed_s for term in terms)
     assert 2 * 2048 <= needed < np.inf
-    # The bound is what the term may be at most, and it is really smaller: a few times longer.
-    long = five_terms(round(8 * needed), 1.0, **truth, rng=np.random.default_rng(2))
-    assert all(fit_allan(allan_curve(long, 1.0), axis).terms['K'].determined for axis in range(3))
+    # A term as large as the bound is told by a record of that length ...
+    largest = truth | {'K': max(term.high for term in terms)}
+    told = 0
+    for seed in range(3):
+        values = five_terms(round(needed), 1.0, **largest, rng=np.random.default_rng(seed))
+        curve = allan_curve(values, 1.0)
+        told += sum(fit_allan(curve, axis).terms['K'].determined for axis in range(3))
+    assert told >= 8  # ... on eight axes of nine
+
+
+def test_a_length_that_would_hardly_do_is_not_asked_for():
+    # The bound is two to three sigmas of ten minutes; twice that length need not show it.
+    lengths = [fit.terms['K'].needed_s for fits_ in bmi160().values() for fit in fits_]
+    assert np.median(lengths) >= 3.9 * TEN_MINUTES / RATE
 
 
 @pytest.mark.parametrize('memory', [0.5, 0.8])

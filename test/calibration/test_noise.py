@@ -97,7 +97,7 @@ def test_three_axes_tell_together_what_one_cannot():
         told_alone += sum(fit.terms['B'].determined for fit in triad.fits) / 3
         told_together += triad.together('B').determined
         if triad.together('B').determined and not triad.fits[0].terms['B'].determined:
-            assert triad.axes('B')[0] == triad.shared['B']
+            assert triad.axes('B')[0] == triad.together('B')
     assert told_together > 1.3 * told_alone
 
 

@@ -76,6 +76,12 @@ def test_the_kind_of_a_known_series_is_named(moving, auto, kind, orders):
     assert all(hint.reason.endswith('.') for hint in hints)
 
 
+def test_a_random_walk_is_never_taken_for_a_long_memory():
+    # Its eighths may happen to agree, three times in a hundred; then its neighbours tell.
+    kinds = {suggest_model(arma([1.0], [1.0, -1.0], seed), RATE).kind for seed in range(100)}
+    assert kinds == {'not stationary'}
+
+
 @pytest.mark.parametrize(
     'drift',
     [
