@@ -70,6 +70,7 @@ def test_axes_and_told_terms_are_drawn_where_they_are(painted):
     assert_allclose(lines['y'].get_ydata(), per_si * curve.deviation[:, 1])
     tau, white = lines['N: white noise'].get_data()
     density = model().gyroscope.together('N').value
+    assert len(tau) > 100  # of 200: the rest is below the figure
     assert_allclose(white * np.sqrt(tau), per_si * density)
     assert axes.get_ylabel() == 'angular rate [mdeg/s]'
     assert axes.get_xlabel().endswith('[s]')
