@@ -11,9 +11,7 @@ import numpy as np
 from multiimu_ros.arrays import Scalars
 from multiimu_ros.calibration.rests import BIN_NS, Motion
 
-ALIKE = (
-    0.9  # correlation; a coarse delay costs 0.03, and strangers moved in time with it reach 0.8
-)
+ALIKE = 0.9  # correlation; a coarse delay costs 0.03, strangers moved in time reach 0.8
 DELAY = 20  # bins: 2 s
 SHORT = 100  # bins: 10 s, less is no evidence
 STRANGE = -1.0  # correlation of what shares less than that

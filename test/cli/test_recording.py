@@ -174,8 +174,11 @@ def test_a_wrong_unit_is_told_and_changes_no_verdict(calibration, rate, force, t
     findings, [board] = judged([scaled(part, rate, force) for part in calibration])
     assert all(text in ' '.join(finding['complaints']) for finding in findings)
     if rate > 0:
-        _, [right] = judged(calibration)
-        assert answers(board) == answers(right)
+        [right, _], [good] = judged(calibration)
+        assert answers(board) == answers(good)
+        # Figures are in SI whatever the readings are in: rounding only.
+        assert findings[0]['turns']['turned_deg'] == pytest.approx(right['turns']['turned_deg'])
+        assert findings[0]['waving']['time_s'] == pytest.approx(right['waving']['time_s'])
 
 
 def test_deg_per_s_is_told_even_at_slow_motion(calibration):
@@ -187,7 +190,9 @@ def test_deg_per_s_is_told_even_at_slow_motion(calibration):
 
 
 def test_deg_per_s_is_told_once(calibration):
-    [finding], _ = judged([scaled(between(calibration[0], 105.0, 140.0), 1800.0, 1.0)])
+    [finding], _ = judged([scaled(between(calibration[0], 95.0, 140.0), 180 / np.pi, 1.0)])
+    assert finding['median_rate'] > 40.0  # so that the median tells it
+    assert finding['units']['rate'] == 'deg/s'  # and so does gravity
     assert ' '.join(finding['complaints']).count('deg/s') == 1
 
 
