@@ -11,6 +11,8 @@ a bias and a time map,
 
 fitted by Gauss-Newton on a spline of w_a.  Its covariance comes from the sums of its scores over
 blocks of a second, so that noise of any colour, and stamps that jitter, are counted as they are.
+The rates must be free of g-sensitivity: a leak of 0.05 deg/s per g, whose force moves with the
+angular acceleration, passes for 10 us; what is left of it adds to the covariance.
 
 Also the alignment of [1]_: the instants at which each stream first leaves its rest.
 
@@ -48,10 +50,16 @@ class RateTrack:
         On its own clock [s].
     rate : (N, 3) array
         In any unit and frame; NaN where unusable.
+    force : (N, 3) array, optional
+        Specific force [m/s^2], to say what an unknown g-sensitivity may do.
+    leak_sigma : (3, 3) array, optional
+        Standard deviation of the g-sensitivity that is left [rad/s per m/s^2].
     """
 
     time: Scalars
     rate: Vectors
+    force: Vectors | None = None
+    leak_sigma: Matrix | None = None
 
     @property
     def step(self) -> float:
@@ -75,6 +83,8 @@ class TimeMap:
         Standard deviations.
     correlation : float
         Of |w| of both at the coarse optimum [-].
+    jitter : float
+        Sigma by which stamps and sampling instants of both together scatter [s].
     """
 
     delay: float
@@ -83,6 +93,7 @@ class TimeMap:
     delay_sigma: float
     skew_sigma: float
     correlation: float
+    jitter: float
 
     def apply(self, time: Scalars) -> Scalars:
         """Return instants (N,) of the second track on the clock of the first [s]."""
@@ -169,11 +180,11 @@ def fit_time_map(first: RateTrack, second: RateTrack) -> TimeMap:
         )
         raise SyncError(msg)
     pair = _Pair.of(first, second)
-    x, covariance, origin = _fit(pair, coarse.delay, with_skew=True)
+    x, covariance, origin, jitter = _fit(pair, coarse.delay, with_skew=True)
     if abs(x[1]) < NO_SKEW * np.sqrt(covariance[1, 1]):
-        x, covariance, origin = _fit(pair, coarse.delay, with_skew=False)
-    delay_sigma, skew_sigma = np.sqrt(np.diag(covariance)).tolist()
-    return TimeMap(float(x[0]), float(x[1]), origin, delay_sigma, skew_sigma, coarse.peak)
+        x, covariance, origin, jitter = _fit(pair, coarse.delay, with_skew=False)
+    sigma = np.sqrt(np.diag(covariance)).tolist()
+    return TimeMap(float(x[0]), float(x[1]), float(origin), *sigma, coarse.peak, jitter)
 
 
 @dataclass(frozen=True)
@@ -185,6 +196,8 @@ class _Pair:
     known: Flags  # of the first's grid
     time: Scalars  # (n,) of the second, where it is known
     rate: Vectors  # (n, 3)
+    leak: Vectors  # (n, 3): force, where a leak of it is to be counted
+    leak_variance: Matrix  # (3, 3)
 
     @classmethod
     def of(cls, first: RateTrack, second: RateTrack) -> '_Pair':
@@ -193,7 +206,14 @@ class _Pair:
         own, b = _smoothed(second, second.step, sigma)
         known = np.isfinite(b).all(axis=1)
         spline = CubicSpline(grid.time, bridge(a), axis=0)
-        return cls(spline, grid, np.isfinite(a).all(axis=1), own.time[known], b[known])
+        leak, variance = np.zeros((own.count, 3)), np.zeros((3, 3))
+        if second.force is not None and second.leak_sigma is not None:
+            leak = smooth(resample(second.time, second.force, _usable(second.force), own), own)
+            # The first track leaks as much, along forces that hardly differ but for the mounting.
+            variance = 2 * np.square(second.leak_sigma)
+        sound = np.isfinite(a).all(axis=1)
+        leak = np.nan_to_num(leak[known])
+        return cls(spline, grid, sound, own.time[known], b[known], leak, variance)
 
     def covered(self, t: Scalars) -> Flags:
         """Flag the instants (n,) whose neighbours in the first track are known."""
@@ -203,15 +223,15 @@ class _Pair:
         return np.asarray(inside & self.known[low] & self.known[low + 1])
 
 
-def _fit(pair: _Pair, delay: float, with_skew: bool) -> tuple[Vector, Matrix, float]:
-    """Iterate to the best delay and skew; return them (2,), their covariance, and the origin.
+def _fit(pair: _Pair, delay: float, with_skew: bool) -> tuple[Vector, Matrix, float, float]:
+    """Iterate to the best delay and skew; return them (2,), covariance, origin and jitter.
 
     The origin moves to where the delay is known best, which uncouples it from the skew.
     """
     slope = pair.spline.derivative()
     origin = float(pair.time.mean())
     x, variance = np.array([delay, 0.0]), np.ones(len(pair.time))
-    covariance = np.zeros((2, 2))
+    covariance, jitter = np.zeros((2, 2)), 0.0
     for iteration in range(ITERATIONS):
         t = pair.time + x[0] + x[1] * (pair.time - origin)
         good = pair.covered(t)
@@ -222,21 +242,26 @@ def _fit(pair: _Pair, delay: float, with_skew: bool) -> tuple[Vector, Matrix, fl
         a, moved = pair.spline(t[good]), slope(t[good])
         used = variance[good]
         J, residual, speed = _linearise(a, moved, moment - origin, pair.rate[good], used)
-        step, covariance = _gauss_newton(J, residual, moment, with_skew)
+        leak = pair.leak[good] / np.sqrt(used)[:, np.newaxis]
+        step, covariance = _gauss_newton(J, residual, moment, with_skew, leak, pair.leak_variance)
         x = x + step
-        variance[good] = _noise_and_jitter(np.square(residual).sum(axis=1) * used, speed)
+        square = np.square(residual).sum(axis=1) * used
+        variance[good], jitter = _noise_and_jitter(square, speed)
         shift = -covariance[0, 1] / covariance[1, 1] if with_skew else 0.0
         origin, x[0] = origin + shift, x[0] + x[1] * shift
         done = np.abs(step) <= 1e-2 * np.sqrt(np.diag(covariance))
         if iteration >= REWEIGHTED and np.all(done) and abs(shift) < BLOCK_S:
             break
-    return x, covariance, origin
+    return x, covariance, origin, jitter
 
 
 def _smoothed(track: RateTrack, step: float, sigma: float) -> tuple[Grid, Matrix]:
     grid = make_grid(float(track.time[0]), float(track.time[-1]), step, sigma)
-    usable = np.isfinite(track.rate).all(axis=1)
-    return grid, smooth(resample(track.time, track.rate, usable, grid), grid)
+    return grid, smooth(resample(track.time, track.rate, _usable(track.rate), grid), grid)
+
+
+def _usable(vectors: Vectors) -> Flags:
+    return np.asarray(np.isfinite(vectors).all(axis=1))
 
 
 def _linearise(
@@ -246,6 +271,15 @@ def _linearise(
 
     Mixing and bias are linear, so that for each delay their best values are known: what they can
     explain is taken out of residuals and derivatives alike (variable projection).
+
+    Parameters
+    ----------
+    a, moved : (n, 3) arrays
+        Rates of the first track, and their derivative.
+    since : (n,) array
+        Time since the origin [s].
+    b, variance : (n, 3), (n,) arrays
+        Rates of the second track, and the variance of an axis.
 
     Returns
     -------
@@ -261,14 +295,14 @@ def _linearise(
     mixing = np.linalg.lstsq(A, b * root, rcond=None)[0]
     by_delay = moved @ mixing[:3]
     J = np.stack((by_delay, by_delay * since[:, np.newaxis]), axis=2) * root[:, :, np.newaxis]
-    flat = J.reshape(len(a), -1)
+    flat = J.reshape(len(b), -1)
     flat = flat - Q @ (Q.T @ flat)
     residual = b * root - A @ mixing
-    return flat.reshape(len(a), 3, 2), residual, np.square(by_delay).sum(axis=1)
+    return flat.reshape(len(b), 3, 2), residual, np.square(by_delay).sum(axis=1)
 
 
-def _noise_and_jitter(square: Scalars, speed: Scalars) -> Scalars:
-    """Return the variance (n,) of a residual's axis: s^2 of the noise + j^2 of jitter x speed.
+def _noise_and_jitter(square: Scalars, speed: Scalars) -> tuple[Scalars, float]:
+    """Return the variance (n,) of a residual's axis, noise + jitter^2 x speed, and the jitter [s].
 
     Where the rate hardly changes (lower half), there is noise alone; where it changes most
     (upper tenth), the jitter of stamps and sampling clocks stands out of it.
@@ -280,11 +314,17 @@ def _noise_and_jitter(square: Scalars, speed: Scalars) -> Scalars:
     jitter = 3 * max(float(np.median(excess)), 0.0)
     model = noise + jitter * speed / 3
     # Student's t with FREEDOM degrees: a clipped peak must not outweigh a thousand samples.
-    return np.asarray(model * (FREEDOM + square / model) / (FREEDOM + 3))
+    weighed = model * (FREEDOM + square / model) / (FREEDOM + 3)
+    return np.asarray(weighed), float(np.sqrt(jitter))
 
 
 def _gauss_newton(
-    J: Matrix, residual: Vectors, time: Scalars, with_skew: bool
+    J: Matrix,
+    residual: Vectors,
+    time: Scalars,
+    with_skew: bool,
+    leak: Vectors,
+    leak_variance: Matrix,
 ) -> tuple[Scalars, Matrix]:
     """Return step (2,) and covariance (2, 2), the latter from the scores of blocks of a second."""
     used = 2 if with_skew else 1
@@ -296,7 +336,10 @@ def _gauss_newton(
     step, covariance = np.zeros(2), np.zeros((2, 2))
     step[:used] = inverse @ scores.sum(axis=0)
     centred = sums - sums.mean(axis=0)
-    covariance[:used, :used] = inverse @ (centred.T @ centred) @ inverse
+    # What one unit of each g-sensitivity (row i, column c) adds to the scores.
+    leaked = np.einsum('nia,nc->aic', J[:, :, :used], leak)
+    spread = centred.T @ centred + np.einsum('aic,ic,bic->ab', leaked, leak_variance, leaked)
+    covariance[:used, :used] = inverse @ spread @ inverse
     return step, covariance
 
 
