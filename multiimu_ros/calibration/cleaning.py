@@ -53,7 +53,7 @@ class CleanTrack:
 def clean(samples: ImuSamples) -> CleanTrack:
     """Drop readings that are not finite and stamps that do not advance; flag saturation."""
     readings = np.hstack([samples.angular_rate, samples.specific_force])
-    finite = np.isfinite(readings).all(axis=1)
+    finite = np.asarray(np.isfinite(readings).all(axis=1))
     kept = samples.select(finite)
     latest = np.maximum.accumulate(kept.stamp_ns) if len(kept) else kept.stamp_ns
     advancing = np.ones(len(kept), bool)

@@ -5,12 +5,11 @@ from differences of neighbouring short means within poses, pooled over all of th
 slow drift nor a coloured sensor noise is mistaken for it.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from multiimu_ros.arrays import Flags, NANOSECONDS, Scalars, Vector, Vectors
+from multiimu_ros.arrays import Flags, NANOSECONDS, Scalars, Stamps, Vector, Vectors
 from multiimu_ros.calibration.static_intervals import GAP_PERIODS, StaticIntervals
 from multiimu_ros.samples import ImuSamples
 
@@ -75,12 +74,17 @@ def read_poses(samples: ImuSamples, intervals: StaticIntervals) -> PoseReadings:
     density = np.sqrt(_pooled_density_square(readings, first, last, period))
     middle = (intervals.begin_ns - samples.stamp_ns[0]) / NANOSECONDS + intervals.duration_s / 2
     return PoseReadings(
-        middle, (last - first) * period, means[:, :3], means[:, 3:], density[:3], density[3:]
+        middle,
+        np.asarray((last - first) * period),
+        means[:, :3],
+        means[:, 3:],
+        density[:3],
+        density[3:],
     )
 
 
 def _pooled_density_square(
-    readings: Vectors, first: Sequence[int], last: Sequence[int], period: float
+    readings: Vectors, first: Stamps, last: Stamps, period: float
 ) -> Vector:
     """Return N^2 (6,): half the mean square of steps between neighbouring block means, per Hz."""
     size = max(round(BLOCK_S / period), 1)

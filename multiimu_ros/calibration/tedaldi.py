@@ -134,7 +134,7 @@ def fit_accelerometer(
     L = cholesky(V, lower=True)
     theta = _fit_norms(raw, gravity, _unit(gravity, start[0]), theta, L)
     A = solve_triangular(L, _slope_of_norm(theta, raw), lower=True)
-    residual = np.linalg.norm(_felt(theta, raw), axis=1) - gravity
+    residual = np.asarray(np.linalg.norm(_felt(theta, raw), axis=1) - gravity)
     return AccelerometerModel(
         theta[:3],
         theta[3:6],
@@ -167,7 +167,7 @@ def predicted_spread(
 
 def _unit(gravity: float, scale: float) -> Vector:
     """Return the sizes (9,) of scale, shear, bias that change |f| alike."""
-    return np.r_[np.full(3, scale), np.ones(3), np.full(3, gravity / scale)]
+    return np.asarray(np.r_[np.full(3, scale), np.ones(3), np.full(3, gravity / scale)])
 
 
 def _fit_norms(
@@ -329,15 +329,20 @@ def fit_gyroscope(
         # A turn by theta more at the end moves u_end by u_end x theta; E changes G along.
         along = J[:, :, :9] + np.einsum('tajk,ck->tajc', J[:, :, 12:].reshape(-1, 3, 3, 3), H
                                         ).reshape(-1, 3, 9)  # fmt: skip
-        slope = np.cross(predicted[:, :, None], along, axis=1) * scale
-        return (predicted - after).ravel(), slope.reshape(-1, 9)
+        by_E = np.cross(predicted[:, :, None], along, axis=1) * scale
+        return (predicted - after).ravel(), by_E.reshape(-1, 9)
+
+    def misfit(x: Vector) -> Vector:
+        return turn(x)[0]
+
+    def slope(x: Vector) -> Matrix:
+        return turn(x)[1]
 
     _refuse_few_turns(len(transitions))
     start = np.eye(3).ravel()
-    fit = least_squares(
-        lambda x: turn(x)[0], start, jac=lambda x: turn(x)[1], method='lm', xtol=1e-12
-    )
-    values, vectors = np.linalg.eigh(fit.jac.T @ fit.jac)
+    fit = least_squares(misfit, start, jac=slope, method='lm', xtol=1e-12)
+    J = np.asarray(fit.jac)
+    values, vectors = np.linalg.eigh(J.T @ J)
     if values[0] < WEAKEST * values[-1]:
         axis = 'xyz'[int(np.argmax(np.linalg.norm(vectors[:, 0].reshape(3, 3), axis=0)))]
         msg = (

@@ -45,7 +45,7 @@ class LeverArms:
     @property
     def sigma(self) -> Vectors:
         """Standard deviations (K, 3) [m]."""
-        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+        return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
 
 
 def lever_arm_matrices(rate_products: Matrix, angular_acceleration: Vectors) -> Matrix:

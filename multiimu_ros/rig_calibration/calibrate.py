@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from multiimu_ros.arrays import Matrix, Scalars
+from multiimu_ros.arrays import Matrix, Scalars, Vector
 from multiimu_ros.calibration.static_intervals import StaticIntervals
 from multiimu_ros.errors import CalibrationError, ConfigError
 from multiimu_ros.rig import Noise, PerTriad, Rig
@@ -207,18 +207,13 @@ def _with_noise(board: Board, intervals: StaticIntervals) -> Board:
     imus = []
     for k, imu in enumerate(board.rig.imus):
         density, sigma = _rest_density(board.calibrated(k), intervals)
-        update = {
-            'noise_density': PerTriad(gyroscope=density[:3], accelerometer=density[3:]),
-            'noise_density_sigma': PerTriad(gyroscope=sigma[:3], accelerometer=sigma[3:]),
-        }
+        update = {'noise_density': _per_triad(density), 'noise_density_sigma': _per_triad(sigma)}
         noise = imu.noise.model_copy(update=update) if imu.noise else Noise.model_validate(update)
         imus.append(imu.model_copy(update={'noise': noise}))
     return board.with_imus(imus)
 
 
-def _rest_density(
-    samples: ImuSamples, intervals: StaticIntervals
-) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _rest_density(samples: ImuSamples, intervals: StaticIntervals) -> tuple[Vector, Vector]:
     """Return the density (6,) that one sample's scatter in the rests has, and its sigma."""
     readings = np.hstack([samples.angular_rate, samples.specific_force])
     square, freedom = np.zeros(6), 0
@@ -230,7 +225,13 @@ def _rest_density(
             freedom += len(part) - 1
     density = np.sqrt(square / max(freedom, 1) / samples.rate_hz).clip(LEAST_DENSITY)
     sigma = density / np.sqrt(2 * max(freedom, 1))
-    return tuple(density.tolist()), tuple(sigma.tolist())
+    return density, sigma
+
+
+def _per_triad(six: Vector) -> PerTriad:
+    return PerTriad.model_validate(
+        {'gyroscope': six[:3].tolist(), 'accelerometer': six[3:].tolist()}
+    )
 
 
 def spread(board: Board, intervals: StaticIntervals) -> float:

@@ -26,7 +26,7 @@ from multiimu_ros.calibration.tedaldi import (
 )
 from multiimu_ros.errors import CalibrationError
 from multiimu_ros.registration.wahba import fit_rotation
-from multiimu_ros.rig import GyroscopeTriad, Intrinsics, Triad
+from multiimu_ros.rig import GyroscopeTriad, Intrinsics, Table, Triad
 from multiimu_ros.rig_calibration.board import Board
 from multiimu_ros.rig_calibration.measurements import (
     FORCE_BIAS,
@@ -259,7 +259,7 @@ def _turn_residual(view: ImuView, state: ImuState, felt: Vectors) -> Scalars:
     after = up[[move.stop for move in view.transitions]]
     predicted = np.einsum('tji,tj->ti', turns, before)
     across = np.linalg.norm(np.cross(predicted, after), axis=1)
-    return np.arctan2(across, np.einsum('ti,ti->t', predicted, after))
+    return np.asarray(np.arctan2(across, np.einsum('ti,ti->t', predicted, after)))
 
 
 def as_intrinsics(state: ImuState, covariance: Matrix) -> Intrinsics:
@@ -298,5 +298,6 @@ def _triple(values: Vector) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _table(matrix: Matrix) -> tuple[tuple[float, float, float], ...]:
-    return tuple(_triple(row) for row in matrix)
+def _table(matrix: Matrix) -> Table:
+    x, y, z = (_triple(row) for row in matrix)
+    return x, y, z

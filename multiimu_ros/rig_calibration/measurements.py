@@ -13,6 +13,7 @@ s = R_i' R_k' [0, 0, g], the specific force of the pose in the frame of IMU i:
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.transform import Rotation
 
@@ -155,6 +156,7 @@ def measure(view: ImuView, state: ImuState, R_k: Matrix, gravity: float, weights
 
 
 Block = tuple[Vector, Matrix, Matrix]
+Index = NDArray[np.intp]
 
 
 def _stack(one: Block, other: Block) -> Block:
@@ -177,7 +179,7 @@ def _flat(residual: Vectors, own: Matrix, attitudes: Matrix) -> Block:
     return residual.ravel(), own.reshape(rows, -1), attitudes.reshape(rows, -1)
 
 
-def _force_rows(view: ImuView, state: ImuState, known: Vector, up: Vectors, s: Vectors) -> Block:
+def _force_rows(view: ImuView, state: ImuState, known: Index, up: Vectors, s: Vectors) -> Block:
     residual, own, attitudes = _empty(len(known), len(view.poses))
     inverse = np.linalg.inv(state.E_a)
     y = s @ inverse.T
@@ -193,7 +195,7 @@ def _force_rows(view: ImuView, state: ImuState, known: Vector, up: Vectors, s: V
     return _flat(residual, own, attitudes)
 
 
-def _rate_rows(view: ImuView, state: ImuState, known: Vector, up: Vectors, s: Vectors) -> Block:
+def _rate_rows(view: ImuView, state: ImuState, known: Index, up: Vectors, s: Vectors) -> Block:
     residual, own, attitudes = _empty(len(known), len(view.poses))
     inverse = np.linalg.inv(state.E)
     H = inverse @ state.G
@@ -226,7 +228,7 @@ def _turn_rows(view: ImuView, state: ImuState, R_k: Matrix) -> tuple[Block, Matr
     return _flat(residual, own, attitudes), J
 
 
-def _force_covariance(view: ImuView, weights: Weights, known: Vector) -> Matrix:
+def _force_covariance(view: ImuView, weights: Weights, known: Index) -> Matrix:
     poses = view.poses
     walk = walk_covariance(poses.time[known])
     white = np.square(poses.force_density) / poses.duration[known, np.newaxis] + weights.force[0]
@@ -234,7 +236,7 @@ def _force_covariance(view: ImuView, weights: Weights, known: Vector) -> Matrix:
 
 
 def _rate_covariance(
-    view: ImuView, state: ImuState, weights: Weights, known: Vector, J: Matrix
+    view: ImuView, state: ImuState, weights: Weights, known: Index, J: Matrix
 ) -> Matrix:
     """Return the covariance of the rates in the poses and the turns between: one bias, walking."""
     poses, moves = view.poses, view.transitions

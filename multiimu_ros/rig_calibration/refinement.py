@@ -15,7 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 
-from multiimu_ros.arrays import Matrix, Vectors
+from multiimu_ros.arrays import Flags, Matrix, Vectors
 from multiimu_ros.errors import CalibrationError
 from multiimu_ros.rig_calibration.measurements import (
     ImuState,
@@ -142,7 +142,7 @@ class _Problem:
     gravity: float
 
     @property
-    def free(self) -> Matrix:
+    def free(self) -> Flags:
         """Flag the columns that are unknown: all but the first IMU's rotation into itself."""
         flags = np.ones(UNKNOWNS * len(self.views) + 3 * len(self.R_k), bool)
         flags[ROTATION] = False

@@ -96,7 +96,7 @@ def _from_gravity(first: Vectors, own: Vectors, imus: tuple[Imu, Imu]) -> Rotati
 
 
 def _from_rates(first: Vectors, own: Vectors, imus: tuple[Imu, Imu]) -> RotationFit | None:
-    known: Flags = np.isfinite(first).all(axis=1) & np.isfinite(own).all(axis=1)
+    known: Flags = np.asarray(np.isfinite(first).all(axis=1) & np.isfinite(own).all(axis=1))
     turning = known & (np.linalg.norm(np.where(known[:, None], first, 0.0), axis=1) > MOVING)
     chosen = np.flatnonzero(turning)[::THINNING]
     if len(chosen) < LEAST_RATES:

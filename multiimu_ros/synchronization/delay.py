@@ -146,7 +146,9 @@ def correlate_rates(first: RateTrack, second: RateTrack) -> Correlation:
         before, here, after = values[k - 1 : k + 2]
         bend = before - 2 * here + after
         fraction = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return Correlation(lags, values, float(lags[k] + fraction * step), float(values[k]))
+    return Correlation(
+        np.asarray(lags, np.float64), values, float(lags[k] + fraction * step), float(values[k])
+    )
 
 
 def _magnitude(track: RateTrack, step: float) -> tuple[Scalars, float]:
@@ -183,8 +185,10 @@ def fit_time_map(first: RateTrack, second: RateTrack) -> TimeMap:
     x, covariance, origin, jitter = _fit(pair, coarse.delay, with_skew=True)
     if abs(x[1]) < NO_SKEW * np.sqrt(covariance[1, 1]):
         x, covariance, origin, jitter = _fit(pair, coarse.delay, with_skew=False)
-    sigma = np.sqrt(np.diag(covariance)).tolist()
-    return TimeMap(float(x[0]), float(x[1]), float(origin), *sigma, coarse.peak, jitter)
+    delay_sigma, skew_sigma = np.sqrt(np.diag(covariance)).tolist()
+    return TimeMap(
+        float(x[0]), float(x[1]), float(origin), delay_sigma, skew_sigma, coarse.peak, jitter
+    )
 
 
 @dataclass(frozen=True)
@@ -204,14 +208,14 @@ class _Pair:
         sigma = make_grid(0.0, 0.0, max(first.step, second.step)).sigma
         grid, a = _smoothed(first, first.step, sigma)
         own, b = _smoothed(second, second.step, sigma)
-        known = np.isfinite(b).all(axis=1)
+        known = _usable(b)
         spline = CubicSpline(grid.time, bridge(a), axis=0)
         leak, variance = np.zeros((own.count, 3)), np.zeros((3, 3))
         if second.force is not None and second.leak_sigma is not None:
             leak = smooth(resample(second.time, second.force, _usable(second.force), own), own)
             # The first track leaks as much, along forces that hardly differ but for the mounting.
             variance = 2 * np.square(second.leak_sigma)
-        sound = np.isfinite(a).all(axis=1)
+        sound = _usable(a)
         leak = np.nan_to_num(leak[known])
         return cls(spline, grid, sound, own.time[known], b[known], leak, variance)
 

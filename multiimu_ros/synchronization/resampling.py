@@ -43,7 +43,7 @@ class Grid:
     @property
     def time(self) -> Scalars:
         """The instants (N,) [s]."""
-        return self.start + self.step * np.arange(self.count)
+        return np.asarray(self.start + self.step * np.arange(self.count), np.float64)
 
 
 def make_grid(start: float, stop: float, step: float, sigma: float | None = None) -> Grid:
