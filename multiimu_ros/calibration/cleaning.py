@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from multiimu_ros.arrays import Flags, NANOSECONDS, Scalars, Vectors
 from multiimu_ros.calibration.static_intervals import GAP_PERIODS
@@ -10,9 +11,7 @@ from multiimu_ros.samples import ImuSamples
 
 LEAST_SAMPLES = 100
 PILE = 5  # readings at the very same extreme: noise never does that
-SPOILT = (
-    2  # samples on either side of a saturated one: the sensor's filter smears the clipped peak
-)
+SPOILT = 2  # samples on either side of a saturated one: the filter smears the clipped peak
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ def clean(samples: ImuSamples) -> CleanTrack:
     advancing[1:] = kept.stamp_ns[1:] > latest[:-1]
     kept = kept.select(advancing)
     saturated = at_limit(kept.angular_rate) | at_limit(kept.specific_force)
-    spoilt = np.convolve(saturated, np.ones(2 * SPOILT + 1))[SPOILT : SPOILT + len(kept)] > 0.5
+    spoilt = np.asarray(binary_dilation(saturated, iterations=SPOILT))
     steps = np.diff(kept.stamp_ns)
     period = np.median(steps) if len(steps) else 0
     holes = steps[steps > GAP_PERIODS * period]
@@ -76,12 +75,17 @@ def clean(samples: ImuSamples) -> CleanTrack:
 
 
 def at_limit(vectors: Vectors) -> Flags:
-    """Flag the samples (N,) of which an axis sits at an extreme that readings pile up at."""
+    """Flag the samples (N,) of which an axis sits at an extreme that readings pile up at.
+
+    Noise thins out towards its extremes, unless the steps of the sensor are so coarse that most
+    readings are alike; the most usual reading is therefore none.
+    """
     flags = np.zeros(len(vectors), bool)
     for axis in (*vectors.T, *-vectors.T):
         extreme = axis.max(initial=0.0)
         at = axis == extreme
         inside = axis[~at].max(initial=-np.inf)
-        if extreme and at.sum() >= PILE and at.sum() > (axis == inside).sum():
+        piled = extreme and at.sum() >= PILE and at.sum() > (axis == inside).sum()
+        if piled and extreme != np.median(axis):
             flags |= at
     return flags

@@ -86,13 +86,19 @@ def read_poses(samples: ImuSamples, intervals: StaticIntervals) -> PoseReadings:
 def _pooled_density_square(
     readings: Vectors, first: Stamps, last: Stamps, period: float
 ) -> Vector:
-    """Return N^2 (6,): half the mean square of steps between neighbouring block means, per Hz."""
+    """Return N^2 (6,): half the mean square of steps between neighbouring block means, per Hz.
+
+    NaN where no span holds two blocks.
+    """
     size = max(round(BLOCK_S / period), 1)
-    steps = [np.zeros((0, readings.shape[1]))]
+    steps = []
     for begin, end in zip(first, last, strict=True):
         count = (end - begin) // size
-        blocks = readings[begin : begin + count * size].reshape(count, size, -1).mean(axis=1)
-        steps.append(np.diff(blocks, axis=0))
+        if count > 1:
+            blocks = readings[begin : begin + count * size].reshape(count, size, -1).mean(axis=1)
+            steps.append(np.diff(blocks, axis=0))
+    if not steps:
+        return np.full(readings.shape[1], np.nan)
     square = np.square(np.concatenate(steps)).mean(axis=0) / 2 * size * period
     return np.asarray(np.maximum(square, LEAST_DENSITY**2))
 
@@ -130,12 +136,11 @@ def find_transitions(
     broken = np.zeros(len(samples), bool)
     steps = np.diff(samples.stamp_ns)
     broken[1:] = steps > GAP_PERIODS * np.median(steps)
-    breaks = np.concatenate([[0], np.cumsum(broken | ~usable)])
     poses = np.flatnonzero(known)
     found = []
     for start, stop in zip(poses[:-1].tolist(), poses[1:].tolist(), strict=True):
         begin = int(np.searchsorted(samples.stamp_ns, intervals.end_ns[start], side='right')) - 1
         end = int(np.searchsorted(samples.stamp_ns, intervals.begin_ns[stop], side='left')) + 1
-        if breaks[end] == breaks[begin + 1]:
+        if usable[begin:end].all() and not broken[begin + 1 : end].any():
             found.append(Transition(start, stop, begin, end))
     return tuple(found)

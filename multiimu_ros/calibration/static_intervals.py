@@ -23,6 +23,7 @@ from multiimu_ros.samples import ImuSamples
 
 THRESHOLDS = (2.0, 3.0, 4.5, 7.0, 10.0, 20.0, 40.0, 80.0)
 QUIET_SHARE = 0.05  # of the windows: somebody who records a calibration rests longer than that
+ROUNDING = 1e-12  # of the largest variance: what the running sums leave of a noiseless rest
 GAP_PERIODS = 3.0  # a longer hole ends an interval: nobody knows what happened in it
 
 
@@ -69,9 +70,20 @@ class StaticIntervals:
 def variance_ratio(samples: ImuSamples, config: StaticConfig = StaticConfig()) -> Scalars:
     """Return how restless each sample's window is, (N,): about 1 at rest [-]."""
     window = max(round(config.window_s * samples.rate_hz), 3)
-    parts = [_windowed_variance(v, window) for v in (samples.angular_rate, samples.specific_force)]
-    ratios = [part / max(float(np.quantile(part, QUIET_SHARE)), 1e-300) for part in parts]
+    ratios = []
+    for vectors in (samples.angular_rate, samples.specific_force):
+        variance = _windowed_variance(vectors, window)
+        quiet = max(float(np.quantile(variance, QUIET_SHARE)), _least_variance(vectors, variance))
+        ratios.append(variance / quiet)
     return np.asarray(sum(ratios) / len(ratios))
+
+
+def _least_variance(vectors: Vectors, variance: Scalars) -> float:
+    """Return what no rest is quieter than: the variance of rounding to the sensor's steps."""
+    steps = np.abs(np.diff(vectors, axis=0))
+    least = np.min(steps, axis=0, initial=np.inf, where=steps > 0)
+    coarse = float(np.square(least[np.isfinite(least)]).sum()) / 12
+    return max(coarse, ROUNDING * float(variance.max()), 1e-300)
 
 
 def _windowed_variance(vectors: Vectors, window: int) -> Scalars:

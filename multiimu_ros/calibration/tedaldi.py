@@ -24,7 +24,7 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.optimize import least_squares
 
 from multiimu_ros.arrays import Matrix, Scalars, Vector, Vectors
-from multiimu_ros.calibration.coverage import missing_poses
+from multiimu_ros.calibration.coverage import missing_poses, pose_jacobian
 from multiimu_ros.calibration.poses import PoseReadings, Transition
 from multiimu_ros.calibration.preintegration import preintegrate
 from multiimu_ros.calibration.variance import fit_components, walk_covariance
@@ -33,6 +33,7 @@ from multiimu_ros.errors import CalibrationError
 LEAST_POSES = 9  # for nine parameters
 LEAST_MOVES = 5  # two equations each for nine parameters
 UPPER = (np.array([0, 0, 1]), np.array([1, 2, 2]))  # the free entries of M, row by row
+FLATTEST = 1e-3  # smallest singular value of the poses' Jacobian, beside the largest
 WEAKEST = 1e-5  # smallest eigenvalue of the moves' information, beside the largest
 
 
@@ -120,15 +121,16 @@ def fit_accelerometer(
         If the poses cannot determine a parameter; names the poses that are missing.
     """
     raw = poses.specific_force
+    up = (raw - start[1]) / np.linalg.norm(raw - start[1], axis=1, keepdims=True).clip(1e-300)
     if len(raw) < LEAST_POSES:
         msg = (
             f'Nine accelerometer parameters need at least {LEAST_POSES} still poses, got '
-            f'{len(raw)}; {_advice(raw - start[1])}.'
+            f'{len(raw)}; {_advice(up)}.'
         )
         raise CalibrationError(msg)
+    _refuse_flat(up)
     theta = _fit_norms(raw, gravity, _unit(gravity, start[0]), start, None)
     J = _slope_of_norm(theta, raw)
-    _refuse_flat(J * _unit(gravity, start[0]), raw - theta[6:])
     residual = np.linalg.norm(_felt(theta, raw), axis=1) - gravity
     V, drift, components = _weigh(poses, J, residual, theta)
     L = cholesky(V, lower=True)
@@ -139,9 +141,9 @@ def fit_accelerometer(
         theta[:3],
         theta[3:6],
         theta[6:],
-        np.linalg.inv(A.T @ A),
+        np.asarray(np.linalg.inv(A.T @ A)),
         residual,
-        drift @ cho_solve((L, True), residual),
+        np.asarray(drift @ cho_solve((L, True), residual)),
         *components,
     )
 
@@ -182,12 +184,17 @@ def _fit_norms(
     if len(begin) == 2:
         begin = np.r_[np.full(3, begin[0]), np.zeros(3), np.full(3, begin[1])]
 
+    def whiten(rows: Matrix) -> Matrix:
+        return np.asarray(rows if L is None else solve_triangular(L, rows, lower=True))
+
     def residual(x: Vector) -> Vector:
-        misfit = np.linalg.norm(_felt(x * unit, raw), axis=1) - gravity
-        return np.asarray(misfit if L is None else solve_triangular(L, misfit, lower=True))
+        return whiten(np.linalg.norm(_felt(x * unit, raw), axis=1) - gravity)
+
+    def slope(x: Vector) -> Matrix:
+        return whiten(_slope_of_norm(x * unit, raw) * unit)
 
     fit = least_squares(
-        residual, begin / unit, method='lm', x_scale='jac', xtol=1e-12, max_nfev=20000
+        residual, begin / unit, slope, method='lm', x_scale='jac', xtol=1e-12, max_nfev=2000
     )
     return np.asarray(fit.x * unit)
 
@@ -215,17 +222,16 @@ def _slope_of_norm(theta: Vector, raw: Vectors) -> Matrix:
     return np.hstack((back * centred, shear, -back * theta[:3]))
 
 
-def _refuse_flat(J: Matrix, felt: Vectors) -> None:
+def _refuse_flat(up: Vectors) -> None:
     """Refuse poses under which some mix of the parameters hardly changes |f|."""
-    values = np.linalg.svd(J / np.linalg.norm(J, axis=0), compute_uv=False)
-    if len(J) < J.shape[1] or values[-1] < 1e-3 * values[0]:
-        msg = f'The {len(J)} still poses are too much alike for an accelerometer; {_advice(felt)}.'
+    values = np.linalg.svd(pose_jacobian(up, 1.0), compute_uv=False)
+    if not values[-1] > FLATTEST * values[0]:
+        msg = f'The {len(up)} still poses are too much alike for an accelerometer; {_advice(up)}.'
         raise CalibrationError(msg)
 
 
-def _advice(felt: Vectors) -> str:
-    up = felt / np.linalg.norm(felt, axis=1, keepdims=True)
-    missing = missing_poses(up[np.isfinite(up).all(axis=1)])
+def _advice(up: Vectors) -> str:
+    missing = missing_poses(up)
     return f'record it lying still with {", ".join(missing[:6])}' if missing else 'record more'
 
 

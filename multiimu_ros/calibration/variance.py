@@ -15,7 +15,7 @@ restricted likelihood [1]_, which allows for the parameters that the fit has spe
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, LinAlgError, solve_triangular
+from scipy.linalg import cho_solve, cholesky, orth, solve_triangular
 from scipy.optimize import minimize
 
 from multiimu_ros.arrays import Matrix, Scalars, Vector
@@ -52,14 +52,14 @@ def fit_components(
     (C,) array
         Factors, in units of the residuals squared per unit of the kernel.
     """
-    level = float(whites.mean())
+    level, spent = float(whites.mean()), orth(jacobian)  # any basis of what was fitted will do
     units = np.array([level / max(np.trace(kernel) / len(kernel), 1e-300) for kernel in kernels])
 
     def cost(logarithms: Vector) -> float:
         factors = units * np.exp(logarithms)
         K = np.asarray(sum(f * kernel for f, kernel in zip(factors, kernels, strict=True)))
         axes = zip(residuals, whites, strict=True)
-        return sum(_restricted_likelihood(r, jacobian, np.diag(w) + K) for r, w in axes)
+        return sum(_restricted_likelihood(r, spent, np.diag(w) + K) for r, w in axes)
 
     bounds = [(np.log(SMALLEST), np.log(LARGEST))] * len(kernels)
     starts = [np.full(len(kernels), np.log(start)) for start in STARTS]
@@ -71,13 +71,10 @@ def fit_components(
 
 def _restricted_likelihood(residual: Vector, jacobian: Matrix, V: Matrix) -> float:
     """Return -2 log of the restricted likelihood, but for a constant."""
-    try:
-        L = cholesky(V, lower=True)
-        whitened = solve_triangular(L, np.column_stack([jacobian, residual]), lower=True)
-        A, r = whitened[:, :-1], whitened[:, -1]
-        information = cholesky(A.T @ A, lower=True)
-    except LinAlgError:
-        return float('inf')
+    L = cholesky(V, lower=True)
+    whitened = solve_triangular(L, np.column_stack([jacobian, residual]), lower=True)
+    A, r = whitened[:, :-1], whitened[:, -1]
+    information = cholesky(A.T @ A, lower=True)
     fitted = A @ cho_solve((information, True), A.T @ r)
     logarithms = np.log(np.diag(L)).sum() + np.log(np.diag(information)).sum()
     return float(2 * logarithms + np.sum((r - fitted) ** 2))
