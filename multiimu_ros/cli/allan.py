@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-import re
 from typing import Annotated, Any, TypeVar
 
 from rich.console import Console
@@ -11,12 +10,12 @@ from rich.progress import Progress
 import typer
 
 from multiimu_ros.bags import find_imu_topics, ImuTrack, list_topics, read_imus, Topic
-from multiimu_ros.bags.reader import IMU_TYPE
 from multiimu_ros.calibration.allan_fit import TERMS
 from multiimu_ros.calibration.noise import fit_noise, kalibr_yaml, NoiseModel, TRIADS
 from multiimu_ros.calibration.sensor_model import calibrate
 from multiimu_ros.cli.bag_facts import bag_facts, bag_sha256, temperature_span
 from multiimu_ros.cli.options import AsJson, OptionsFile, print_json, print_table, split_names
+from multiimu_ros.cli.rig_start import start_rig
 from multiimu_ros.errors import ConfigError
 from multiimu_ros.report.noise_page import (
     duration,
@@ -26,7 +25,7 @@ from multiimu_ros.report.noise_page import (
     untold,
 )
 from multiimu_ros.report.page import write_page
-from multiimu_ros.rig import Imu, load_rig, Noise, Rig, RigFrame, save_rig
+from multiimu_ros.rig import Imu, Noise, Rig, save_rig
 
 T = TypeVar('T')
 
@@ -64,7 +63,7 @@ def allan(
 ) -> None:
     """Tell the noise of IMUs from a recording of them at rest, and write it to the rig file."""
     present = list_topics(bag)
-    board, wanted = _board(rig, output, present, split_names(topics))
+    board, wanted = start_rig(rig, output, present, split_names(topics))
     names = find_imu_topics(present, board.names, wanted)
     findings = _findings(bag, [(board.imus[k], topic) for k, topic in names.items()], present)
     if report is not None:
@@ -76,37 +75,6 @@ def allan(
         print_json({finding.name: _as_json(finding) for finding in findings})
     else:
         _print(findings, output)
-
-
-def _board(
-    rig: Path | None, output: Path, present: Sequence[Topic], wanted: list[str]
-) -> tuple[Rig, list[str]]:
-    """Return the rig to start from, a bare one where none is given, and the topics to read."""
-    if rig is not None:
-        return load_rig(rig), wanted
-    if output.exists():
-        msg = f'`--rig {output}` must be given to keep what it holds, or another `-o` be chosen.'
-        raise ConfigError(msg)
-    raw = [t.name for t in present if t.type == IMU_TYPE and t.name.endswith('/data_raw')]
-    found = wanted or sorted(raw, key=_by_number)
-    if not found:
-        find_imu_topics(present, ['imu0'])  # which says what the bag holds instead
-    imus = tuple(Imu(name=name, frame_id=f'{name}_link') for name in names_of(found))
-    return Rig(version=1, rig=RigFrame(name=output.stem), imus=imus), found
-
-
-def _by_number(topic: str) -> list[tuple[int, str]]:
-    """Return a key that sorts imu2 before imu10."""
-    return [(int(x), '') if x.isdigit() else (-1, x) for x in re.split('([0-9]+)', topic)]
-
-
-def names_of(topics: Sequence[str]) -> list[str]:
-    """Return what stands before `/data_raw`, or imu0, imu1 ... where that makes no names."""
-    heads = [re.fullmatch('(?:.*/)?([a-zA-Z][a-zA-Z0-9_]*)/data_raw', topic) for topic in topics]
-    names = [head.group(1) for head in heads if head]
-    if len(set(names)) == len(topics):
-        return names
-    return [f'imu{k}' for k in range(len(topics))]
 
 
 def _findings(

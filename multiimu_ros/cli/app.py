@@ -16,7 +16,10 @@ from multiimu_ros.errors import MultiImuError
 
 VERBS = {
     'demo': 'Eight emulated IMUs become one, live, with a table of what that gains.',
-    'inspect': 'What a bag holds, and what is wrong with it: rates, gaps, stamps, saturation.',
+    'inspect': 'What a bag holds and what it suffices for; `--live` while recording.',
+    'calibrate': 'One recording becomes a whole rig file: intrinsics, poses, clocks, with sigmas.',
+    'register': 'Rotations, lever arms and clocks alone: from a bag, a pointer, or a drawing.',
+    'allan': 'The noise of IMUs at rest, into the rig file.',
     'fuse': 'Turn a bag of raw IMU topics into one IMU and an odometry, without ROS.',
     'emulator': 'A virtual serial port that speaks the protocol of the firmware.',
     'bench': 'Time the filters and the nodes on this machine.',

@@ -43,6 +43,7 @@ from multiimu_ros.rig_calibration.measurements import (
 from multiimu_ros.rig_calibration.refinement import first_attitudes, refine, Refined
 
 PLAUSIBLE = (0.5, 2.0)  # scale of a reading in SI at nominal scale
+NEGLIGIBLE = 0.1  # of a sigma: no reason for a looser threshold
 Progress = Callable[[str], None]
 
 
@@ -91,7 +92,7 @@ class IntrinsicsFit:
 
 
 def find_rests(board: Board) -> StaticIntervals:
-    """Scan the thresholds of the detector; keep the one whose poses tell most (Tedaldi).
+    """Scan the thresholds of the detector; keep the strictest whose poses tell most (Tedaldi).
 
     Raises
     ------
@@ -103,7 +104,8 @@ def find_rests(board: Board) -> StaticIntervals:
     candidates = [find_intervals(stamp_ns, ratio, threshold, config) for threshold in THRESHOLDS]
     scores = [_spread(board, intervals) for intervals in candidates]
     if np.isfinite(scores).any():
-        return candidates[int(np.nanargmin(scores))]
+        # A looser threshold lets the rests reach into the moves, which the gyroscope resents.
+        return candidates[int(np.argmax(scores <= np.min(scores) + NEGLIGIBLE))]
     most = max(candidates, key=len)
     if not len(most):
         msg = (

@@ -11,7 +11,8 @@ import yaml
 
 from multiimu_ros.bags import BagWriter
 from multiimu_ros.bags.cdr import encode_imus
-from multiimu_ros.cli.allan import app, names_of
+from multiimu_ros.cli.allan import app
+from multiimu_ros.cli.rig_start import names_of
 from multiimu_ros.errors import CalibrationError, ConfigError
 from multiimu_ros.rig import load_rig, parse_rig, save_rig
 from multiimu_ros.samples import ImuSamples

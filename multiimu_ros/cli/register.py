@@ -1,0 +1,123 @@
+"""`multiimu register`: where the IMUs sit and how they are turned, without their intrinsics.
+
+From the bag that `calibrate` takes, or from a pointer's measurements of the boards' corners, or
+from a drawing.
+"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from multiimu_ros.bags import list_topics
+from multiimu_ros.cli.calibrate import finish, run_calibration
+from multiimu_ros.cli.options import AsJson, OptionsFile, print_json, print_table, split_names
+from multiimu_ros.errors import ConfigError
+from multiimu_ros.registration.cad import load_cad
+from multiimu_ros.registration.tip import fit_tip, load_tip
+from multiimu_ros.rig import Extrinsics, load_rig, Rig, save_rig
+
+STAGES = ('time', 'rotation', 'lever_arm')
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command(epilog='Example: `multiimu register waved/ --rig ring8.yaml -o ring8.yaml`')
+def register(
+    rig: Annotated[Path, typer.Option(help='Rig file, whose intrinsics are used.')],
+    output: Annotated[Path, typer.Option('--output', '-o', help='Rig file to write.')],
+    bag: Annotated[Path | None, typer.Argument(help='rosbag2 folder, .mcap or .db3 file.')] = None,
+    topics: Annotated[
+        list[str], typer.Option(help='Topics of imu0, imu1 ...; default: `<imu>/data_raw`.')
+    ] = [],  # noqa: B006 typer copies it
+    tip: Annotated[
+        Path | None, typer.Option(help='Corner points by a pointer (YAML), instead of a bag.')
+    ] = None,
+    cad: Annotated[Path | None, typer.Option(help='Drawn poses (YAML), instead of a bag.')] = None,
+    report: Annotated[Path | None, typer.Option(help='Folder for calibration.html.')] = None,
+    as_json: AsJson = False,
+    options: OptionsFile = None,  # noqa: ARG001 read by its callback
+) -> None:
+    """Find rotations, lever arms and delays of the IMUs, keeping everything else of the rig."""
+    board = load_rig(rig)
+    if sum(way is not None for way in (bag, tip, cad)) != 1:
+        msg = 'One of BAG, `--tip` and `--cad` must say where the IMUs are, and only one.'
+        raise ConfigError(msg)
+    if bag is not None:
+        run = run_calibration(bag, board, list_topics(bag), split_names(topics), STAGES)
+        finish(run, output, report, as_json=as_json)
+        return
+    if report is not None:
+        msg = '`--report` must go with a BAG: a pointer or a drawing leaves nothing to plot.'
+        raise ConfigError(msg)
+    poses, warnings = _from_tip(board, tip) if tip is not None else (load_cad(cad or Path()), [])
+    save_rig(_placed(board, poses, 'pointer' if tip is not None else 'drawing'), output)
+    _print(poses, warnings, output, as_json=as_json)
+
+
+def _from_tip(board: Rig, path: Path) -> tuple[dict[str, Extrinsics], list[str]]:
+    """Return the poses in the base frame: the pointer tells them relative to the main IMU."""
+    survey = load_tip(path)
+    fit = fit_tip(survey)
+    main = {imu.name: imu.extrinsics or Extrinsics() for imu in board.imus}.get(survey.main)
+    if main is None:
+        msg = f'{path}: `main` must be an IMU of the rig, got `{survey.main}`.'
+        raise ConfigError(msg)
+    poses = {name: _composed(main, pose) for name, pose in fit.extrinsics.items()}
+    warnings = [
+        f'{name}: its corners look alike when turned, so only gravity would tell a mix-up; '
+        f'compare with `multiimu register BAG`.'
+        for name in fit.symmetric
+    ]
+    return poses, warnings
+
+
+def _composed(main: Extrinsics, own: Extrinsics) -> Extrinsics:
+    """Return a pose told in the main IMU's frame, in the base frame."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 half a second, rarely needed
+
+    turn = Rotation.from_quat(main.rotation) * Rotation.from_quat(own.rotation)
+    arm = main.lever_arm_b + main.R_bs @ own.lever_arm_b
+    update = {'rotation': tuple(turn.as_quat().tolist()), 'lever_arm': tuple(arm.tolist())}
+    return own.model_copy(update=update)
+
+
+def _placed(board: Rig, poses: dict[str, Extrinsics], way: str) -> Rig:
+    unknown = sorted(poses.keys() - set(board.names))
+    if unknown:
+        msg = f'`{unknown[0]}` must be an IMU of the rig, which has {", ".join(board.names)}.'
+        raise ConfigError(msg)
+    imus = [
+        imu.model_copy(
+            update={
+                'extrinsics': poses[imu.name],
+                'provenance': imu.provenance | {'extrinsics': way},
+            }
+        )
+        if imu.name in poses
+        else imu
+        for imu in board.imus
+    ]
+    return board.model_copy(update={'imus': tuple(imus)})
+
+
+def _print(
+    poses: dict[str, Extrinsics], warnings: list[str], output: Path, *, as_json: bool
+) -> None:
+    if as_json:
+        dumped = {n: p.model_dump(mode='json', exclude_none=True) for n, p in poses.items()}
+        print_json({'extrinsics': dumped, 'warnings': warnings})
+        return
+    rows = [
+        {
+            'imu': name,
+            'rotation': ' '.join(f'{x:.5f}' for x in pose.rotation),
+            'lever arm [mm]': ' '.join(f'{1e3 * x:.2f}' for x in pose.lever_arm),
+            'sigma [mm]': ' '.join(f'{1e3 * x:.2f}' for x in pose.lever_arm_sigma or ()),
+        }
+        for name, pose in poses.items()
+    ]
+    print_table('Poses in the base frame', rows)
+    for warning in warnings:
+        typer.echo(warning)
+    typer.echo(f'Written to {output}')
