@@ -231,7 +231,7 @@ def _refuse_flat(up: Vectors) -> None:
 
 
 def _advice(up: Vectors) -> str:
-    missing = missing_poses(up)
+    missing = missing_poses(up[up.any(axis=1)])  # a dead sensor has no direction
     return f'record it lying still with {", ".join(missing[:6])}' if missing else 'record more'
 
 

@@ -5,7 +5,8 @@ feel and the turns between them constrain the same attitudes.  Here those attitu
 every reading is weighed by its own covariance (white noise, the poses' own error, a walking bias;
 `measurements`), and Gauss-Newton finds the maximum.  With one IMU this refines its intrinsics;
 with several, all feel the same gravity and make the same moves, and their mutual rotations come
-out of the same fit.  The inverse of the information is the covariance of every parameter.
+out of the same fit; what they all get wrong alike in a move is an unknown of that move (a slip).
+The inverse of the information is the covariance of every parameter.
 """
 
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.transform import Rotation
 
-from multiimu_ros.arrays import Flags, Matrix, Vectors
+from multiimu_ros.arrays import Flags, Matrix, Vector, Vectors
 from multiimu_ros.errors import CalibrationError
 from multiimu_ros.rig_calibration.measurements import (
     ImuState,
@@ -23,6 +24,8 @@ from multiimu_ros.rig_calibration.measurements import (
     measure,
     ROTATION,
     Rows,
+    Slips,
+    turned_angle,
     UNKNOWNS,
     Weights,
 )
@@ -30,7 +33,11 @@ from multiimu_ros.rig_calibration.measurements import (
 STEPS = 30
 DONE = 1e-3  # of its sigma: a step that small changes nothing that anybody could see
 FREE_TURN = 1e-8  # [1/rad^2] holds the yaw, which nothing determines, without weighing in
+LOST = 2.0  # [rad] a pose that turns by so much in a step was never near the answer
 COMPONENT_ROUNDS = 3
+FIRST_TURN = 1e-7  # (0.3 mrad per rad)^2, where the first excess shows itself
+LEAST_SLIP = 1e-12
+LEAST_ANGLE = 1e-3  # [rad] a rest that was cut in two is no move
 
 
 @dataclass(frozen=True)
@@ -116,21 +123,40 @@ def refine(
     CalibrationError
         If the fit does not settle.
     """
-    problem = _Problem(tuple(views), tuple(states), tuple(weights), R_k, gravity)
+    problem = _Problem(
+        tuple(views), tuple(states), tuple(weights), R_k, gravity, *_common_moves(views, states)
+    )
     for _ in range(COMPONENT_ROUNDS):
         problem, rows, covariance = _settle(problem)
-        previous, problem = problem.weights, problem.reweighted(rows, covariance)
-        if np.allclose([w.turn for w in previous], [w.turn for w in problem.weights], rtol=0.02):
+        previous, problem = problem.components, problem.reweighted(rows, covariance)
+        if np.allclose(previous, problem.components, rtol=0.02):
             break
     problem, rows, covariance = _settle(problem)
     own = UNKNOWNS * len(problem.views)
-    square = sum(float(r.residual @ r.residual) for r in rows)
-    freedom = sum(len(r.residual) for r in rows) - int(np.sum(problem.free))
+    J, residual = problem.stacked(rows)
+    square = float(residual @ residual)
+    freedom = len(J) - float(np.einsum('mi,ij,mj->', J, covariance, J, optimize=True))
     keep = np.zeros((own, own))
     keep[np.ix_(problem.free[:own], problem.free[:own])] = covariance[
         : problem.free[:own].sum(), : problem.free[:own].sum()
     ]
-    return Refined(problem.states, problem.weights, keep, problem.R_k, square / max(freedom, 1))
+    return Refined(problem.states, problem.weights, keep, problem.R_k, square / max(freedom, 1.0))
+
+
+def _common_moves(views: Sequence[ImuView], states: Sequence[ImuState]) -> tuple[Slips, Vector]:
+    """Return the slips, all zero, of the moves that several IMUs saw, and their angles [rad].
+
+    One IMU alone cannot tell a slip from an error of its own.
+    """
+    angles: dict[tuple[int, int], list[float]] = {}
+    for view, state in zip(views, states, strict=True):
+        for move in view.transitions:
+            own = turned_angle(view, state, move)
+            angles.setdefault((move.start, move.stop), []).append(own)
+    common = [move for move, seen in angles.items() if len(seen) > 1]
+    places = {move: place for place, move in enumerate(common)}
+    means = np.array([np.mean(angles[move]) for move in common])
+    return Slips(places, np.zeros((len(common), 3))), means.clip(LEAST_ANGLE)
 
 
 @dataclass(frozen=True)
@@ -140,31 +166,42 @@ class _Problem:
     weights: tuple[Weights, ...]
     R_k: Matrix
     gravity: float
+    slips: Slips
+    angles: Vector  # (U,): how far the board was turned in each of the moves [rad]
+    slip: float = FIRST_TURN  # variance of a slip per squared radian of its move
+
+    @property
+    def components(self) -> list[float]:
+        """The variance components that are estimated here."""
+        return [*(weight.turn for weight in self.weights), self.slip]
 
     @property
     def free(self) -> Flags:
         """Flag the columns that are unknown: all but the first IMU's rotation into itself."""
-        flags = np.ones(UNKNOWNS * len(self.views) + 3 * len(self.R_k), bool)
+        flags = np.ones(UNKNOWNS * len(self.views) + 3 * (len(self.R_k) + len(self.angles)), bool)
         flags[ROTATION] = False
         return flags
 
     def rows(self) -> list[Rows]:
         return [
-            measure(view, state, self.R_k, self.gravity, weight)
+            measure(view, state, self.R_k, self.gravity, weight, self.slips)
             for view, state, weight in zip(self.views, self.states, self.weights, strict=True)
         ]
 
-    def jacobian(self, rows: Sequence[Rows]) -> Matrix:
-        """Return the stacked derivatives (M, D) of all IMUs by the free unknowns."""
-        own = UNKNOWNS * len(rows)
-        J = np.zeros((sum(len(r.residual) for r in rows), len(self.free)))
+    def stacked(self, rows: Sequence[Rows]) -> tuple[Matrix, Vector]:
+        """Return derivatives (M, D) by the free unknowns and residuals (M,), slips' own last."""
+        own, shared = UNKNOWNS * len(rows), 3 * len(self.angles)
+        residual = np.concatenate([r.residual for r in rows])
+        J = np.zeros((len(residual) + shared, len(self.free)))
         begin = 0
         for i, r in enumerate(rows):
             end = begin + len(r.residual)
             J[begin:end, UNKNOWNS * i : UNKNOWNS * (i + 1)] = r.own
             J[begin:end, own:] = r.attitudes
             begin = end
-        return J[:, self.free]
+        weight = np.repeat(1 / (np.sqrt(self.slip) * self.angles), 3)
+        J[begin:, len(self.free) - shared :] = np.diag(weight)
+        return J[:, self.free], np.concatenate((residual, weight * self.slips.values.ravel()))
 
     def moved(self, step: Matrix) -> '_Problem':
         full = np.zeros(len(self.free))
@@ -174,8 +211,11 @@ class _Problem:
             state.moved(full[UNKNOWNS * i : UNKNOWNS * (i + 1)])
             for i, state in enumerate(self.states)
         )
-        turn = Rotation.from_rotvec(full[own:].reshape(-1, 3)).as_matrix()
-        return replace(self, states=states, R_k=self.R_k @ turn)
+        turns = full[own:].reshape(-1, 3)
+        P = len(self.R_k)
+        R_k = self.R_k @ Rotation.from_rotvec(turns[:P]).as_matrix()
+        slips = replace(self.slips, values=self.slips.values + turns[P:])
+        return replace(self, states=states, R_k=R_k, slips=slips)
 
     def reweighted(self, rows: Sequence[Rows], covariance: Matrix) -> '_Problem':
         """Return the problem with the turns' own error as large as their residuals say.
@@ -183,19 +223,20 @@ class _Problem:
         Helmert's estimate: the weighted squares of a group of residuals add up to its number less
         what the fit has spent on it.
         """
-        J, begin, weights = self.jacobian(rows), 0, []
+        J, residual = self.stacked(rows)
+
+        def excess(part: slice) -> float:
+            spent = np.einsum('mi,ij,mj->', J[part], covariance, J[part], optimize=True)
+            left = len(J[part]) - float(spent)
+            return float(np.sum(residual[part] ** 2)) / left if left > 1.0 else 1.0
+
+        begin, weights = 0, []
         for r, weight in zip(rows, self.weights, strict=True):
-            part = slice(begin + r.moves.start, begin + r.moves.stop)
+            grown = excess(slice(begin + r.moves.start, begin + r.moves.stop))
             begin += len(r.residual)
-            spent = float(np.einsum('mi,ij,mj->', J[part], covariance, J[part]))
-            square = float(np.sum(r.residual[r.moves] ** 2))
-            left = r.moves.stop - r.moves.start - spent
-            excess = square / left if left > 1.0 else 1.0
-            weights.append(replace(weight, turn=_raised(weight.turn, excess)))
-        return replace(self, weights=tuple(weights))
-
-
-FIRST_TURN = 1e-7  # (0.3 mrad per rad)^2, where the first excess shows itself
+            weights.append(replace(weight, turn=_raised(weight.turn, grown)))
+        slip = max(self.slip * excess(slice(begin, None)), LEAST_SLIP)
+        return replace(self, weights=tuple(weights), slip=slip)
 
 
 def _raised(turn: float, excess: float) -> float:
@@ -209,16 +250,17 @@ def _settle(problem: _Problem) -> tuple[_Problem, list[Rows], Matrix]:
     """Iterate Gauss-Newton until the step is far below its own sigma."""
     for _ in range(STEPS):
         rows = problem.rows()
-        J = problem.jacobian(rows)
-        residual = np.concatenate([r.residual for r in rows])
+        J, residual = problem.stacked(rows)
         information = J.T @ J
         size = np.sqrt(np.diag(information)).clip(1e-300)
         scaled = information / np.outer(size, size) + FREE_TURN * np.eye(len(size))
         factor = cho_factor(scaled)
         step = -cho_solve(factor, J.T @ residual / size) / size
         covariance = cho_solve(factor, np.eye(len(size))) / np.outer(size, size)
-        problem = problem.moved(step)
         known = UNKNOWNS * len(problem.views) - 3
+        if not np.abs(step[known:]).max() < LOST:
+            break
+        problem = problem.moved(step)
         if np.all(np.abs(step[:known]) < DONE * np.sqrt(np.diag(covariance)[:known])):
             return problem, problem.rows(), covariance
     msg = 'The joint fit does not settle; record more poses, and turn the board more slowly.'
