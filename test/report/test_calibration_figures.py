@@ -3,7 +3,7 @@
 from dataclasses import replace
 import io
 
-from calibrated_board import bare_rig, calibrated, DELAY, DURATION, POSES, rested, WAVING
+from calibrated_board import bare_rig, calibrated, DELAY, DURATION, POSES, RATE, rested, WAVING
 import numpy as np
 from numpy.testing import assert_allclose
 from PIL import Image
@@ -13,6 +13,7 @@ from scipy.stats import kstest
 
 from multiimu_ros.arrays import NANOSECONDS
 from multiimu_ros.calibration.coverage import missing_poses
+from multiimu_ros.calibration.static_intervals import StaticIntervals
 from multiimu_ros.report import calibration_board_figures, calibration_figures, figures
 from multiimu_ros.rig import Extrinsics
 from multiimu_ros.rig_calibration.board import Board
@@ -100,8 +101,15 @@ def test_residuals_are_those_of_the_fits(painted):
     for k, fit in enumerate(calibrated().intrinsics):
         assert_allclose(lines_of(upper, 'o')[k].get_ydata(), 1e3 * fit.residual_before)
         assert_allclose(lines_of(lower, 'o')[k].get_ydata(), 1e3 * fit.residual_after)
-    drift = 1e3 * calibrated().intrinsics[2].fit.accelerometer.drift
-    assert any(np.array_equal(line.get_ydata(), drift) for line in lower.get_lines())
+
+
+def test_the_drift_that_the_fit_found_is_drawn(painted):
+    fits = list(calibrated().intrinsics)
+    drift = np.linspace(-0.002, 0.003, len(fits[2].fit.accelerometer.drift))
+    model = replace(fits[2].fit.accelerometer, drift=drift)
+    fits[2] = replace(fits[2], fit=replace(fits[2].fit, accelerometer=model))
+    _, lower = painted('residuals', replace(calibrated(), intrinsics=tuple(fits)))
+    assert any(np.array_equal(line.get_ydata(), 1e3 * drift) for line in lower.get_lines())
 
 
 def test_residuals_without_a_fit_come_from_the_readings():
@@ -129,9 +137,53 @@ def test_waving_is_found_after_the_poses():
     assert calibration_figures.waving(rested(30.0)) == []
 
 
+@pytest.mark.parametrize(
+    ('seconds', 'rate', 'found'),
+    [
+        (20.0, 1.0, 1),
+        (8.0, 1.0, 0),  # a slow move from pose to pose
+        (20.0, 0.05, 0),  # a table that is carried
+    ],
+)
+def test_waving_is_long_and_fast(seconds, rate, found):
+    given = rested(30.0)
+    track = given.board.tracks[0]
+    stamps, turned = track.samples.stamp_ns, track.samples.angular_rate.copy()
+    stop = round((3.0 + seconds) * RATE)
+    turned[round(3.0 * RATE) : stop] += [rate, 0.0, 0.0]
+    board = Board(
+        given.board.rig, (replace(track, samples=replace(track.samples, angular_rate=turned)),)
+    )
+    rests = StaticIntervals(stamps[[0, stop]], stamps[[round(3.0 * RATE), -1]])
+    spans = calibration_figures.waving(replace(given, board=board, intervals=rests))
+    assert len(spans) == found
+    if found:
+        assert_allclose(spans, [[3.0 / 60, (3.0 + seconds) / 60]], atol=2 / RATE / 60)
+
+
+def test_bouts_of_waving_with_short_rests_between_are_one():
+    given = rested(30.0)
+    stamps = given.board.tracks[0].samples.stamp_ns
+    turned = given.board.tracks[0].samples.angular_rate + 1.0
+    track = given.board.tracks[0]
+    board = Board(
+        given.board.rig, (replace(track, samples=replace(track.samples, angular_rate=turned)),)
+    )
+    edges = np.array([[0.0, 2.0], [12.0, 14.0], [24.0, 29.0]])  # a rest of 2 s between two bouts
+    begin, end = stamps[(edges * RATE).astype(int)].T
+    spans = calibration_figures.waving(
+        replace(given, board=board, intervals=StaticIntervals(begin, end))
+    )
+    assert_allclose(spans, [[2.0 / 60, 24.0 / 60]], atol=2 / RATE / 60)
+
+
 def test_recording_shades_every_rest_and_names_the_waving(painted):
     (axes,) = painted('recording', calibrated())
-    assert len(axes.patches) == len(calibrated().intervals) > POSES
+    intervals, start_ns = calibrated().intervals, calibrated().board.tracks[0].samples.stamp_ns[0]
+    assert len(axes.patches) == len(intervals) > POSES
+    shaded = [(patch.get_x(), patch.get_x() + patch.get_width()) for patch in axes.patches]
+    rests = np.column_stack([intervals.begin_ns, intervals.end_ns]) - start_ns
+    assert_allclose(60 * np.array(shaded), rests / NANOSECONDS, atol=1e-6)
     assert 'waving' in {text.get_text() for text in axes.texts}
     assert not lines_of(axes, '|')
 
@@ -168,20 +220,20 @@ def test_sixteen_imus_look_different():
 
 
 def test_differences_are_in_the_base_and_about_the_axes_of_the_imu():
-    before = calibrated().before
-    pose = before.imus[1].extrinsics
-    turn = Rotation.from_rotvec([0.01, 0.0, -0.02])
-    moved = Extrinsics(
-        rotation=tuple((Rotation.from_quat(pose.rotation) * turn).as_quat().tolist()),
-        lever_arm=tuple((pose.lever_arm_b + np.array([0.0, 0.001, 0.0])).tolist()),
+    mounted, turn = Rotation.from_rotvec([0.3, 1.2, -0.5]), Rotation.from_rotvec([0.01, 0, -0.02])
+    drawn = Extrinsics(rotation=tuple(mounted.as_quat().tolist()), lever_arm=(0.1, 0.2, 0.3))
+    found = Extrinsics(
+        rotation=tuple((mounted * turn).as_quat().tolist()), lever_arm=(0.1, 0.201, 0.3)
     )
-    imus = (before.imus[0], before.imus[1].model_copy(update={'extrinsics': moved}))
-    pair = before.model_copy(update={'imus': before.imus[:2]})
-    lever_arms, angles = calibration_board_figures.pose_differences(
-        pair, before.model_copy(update={'imus': imus})
+    before, after = (
+        bare_rig(1).model_copy(
+            update={'imus': (bare_rig(1).imus[0].model_copy(update={'extrinsics': pose}),)}
+        )
+        for pose in (drawn, found)
     )
-    assert_allclose(lever_arms, [[0, 0, 0], [0, 0.001, 0]], atol=1e-12)
-    assert_allclose(angles, [[0, 0, 0], [0.01, 0, -0.02]], atol=1e-12)
+    moved, turned = calibration_board_figures.pose_differences(before, after)
+    assert_allclose(moved, [[0, 0.001, 0]], atol=1e-12)
+    assert_allclose(turned, [[0.01, 0, -0.02]], atol=1e-12)
 
 
 def test_differences_are_drawn_in_millimetres_with_their_sigma(painted):
