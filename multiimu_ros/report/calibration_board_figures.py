@@ -100,7 +100,7 @@ def _in_proportion(axes: Axes3D) -> None:
     """Give a millimetre the same length along x, y and z, and each axis its name."""
     limits = [axes.get_xlim3d(), axes.get_ylim3d(), axes.get_zlim3d()]
     spans = np.ptp(limits, axis=1)
-    axes.set_box_aspect(spans / spans.max(), zoom=1.22)
+    axes.set_box_aspect(spans / spans.max(), zoom=1.15)
     axes.view_init(elev=32, azim=-62)
     for name, span in zip(XYZ, spans, strict=True):
         axes.locator_params(axis=name, nbins=int(np.clip(round(7 * span / spans.max()), 2, 7)))
