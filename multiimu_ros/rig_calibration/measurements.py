@@ -7,9 +7,13 @@ s = R_i' R_k' [0, 0, g], the specific force of the pose in the frame of IMU i:
 
     accelerometer in pose k   f_raw - (b_a + E_a^-1 s)
     gyroscope in pose k       w_raw - (b_g + E_g^-1 G s)
-    gyroscope from k to l     Log(dR_i' R_i' R_k' R_l R_i),   dR_i the turn it integrated
+    gyroscope from k to l     Log(dR_i' R_i' R_k' R_l exp(slip) R_i),   dR_i the turn it integrated
+
+A slip is what all gyroscopes of a board get wrong alike in one move, as when a knock is quicker
+than their sampling: seen on real boards, where it is ten times their noise.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +26,7 @@ from multiimu_ros.calibration.poses import PoseReadings, Transition
 from multiimu_ros.calibration.preintegration import preintegrate
 from multiimu_ros.calibration.tedaldi import AccelerometerModel, GyroscopeModel, UPPER
 from multiimu_ros.calibration.variance import walk_covariance
-from multiimu_ros.rotations import skew
+from multiimu_ros.rotations import exp_so3, skew
 
 SCALE, SHEAR, FORCE_BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
 RATE_E, RATE_BIAS, SENSITIVITY, ROTATION = (
@@ -120,9 +124,9 @@ class Weights:
 
 @dataclass(frozen=True)
 class Rows:
-    """Whitened residuals (M,) of one IMU, derivatives by its unknowns (M, 33) and attitudes.
+    """Whitened residuals (M,) of one IMU, derivatives by its unknowns (M, 33) and shared ones.
 
-    `attitudes` (M, 3 P) is dense; `moves` says which rows are those of the turns.
+    `attitudes` (M, 3 P + 3 U) is dense, U slips last; `moves` says which rows are the turns.
     """
 
     residual: Vector
@@ -131,7 +135,33 @@ class Rows:
     moves: slice
 
 
-def measure(view: ImuView, state: ImuState, R_k: Matrix, gravity: float, weights: Weights) -> Rows:
+@dataclass(frozen=True)
+class Slips:
+    """Common errors of U moves: where each stands by (start, stop), and their values.
+
+    Parameters
+    ----------
+    places : mapping
+        Index of a slip by the move's first and last pose.
+    values : (U, 3) array
+        Rotation vectors at the end of each move, in the first IMU's frame [rad].
+    """
+
+    places: Mapping[tuple[int, int], int]
+    values: Vectors
+
+
+NO_SLIPS = Slips({}, np.zeros((0, 3)))
+
+
+def measure(
+    view: ImuView,
+    state: ImuState,
+    R_k: Matrix,
+    gravity: float,
+    weights: Weights,
+    slips: Slips = NO_SLIPS,
+) -> Rows:
     """Return residuals and derivatives of one IMU, whitened by their covariance.
 
     Parameters
@@ -140,13 +170,17 @@ def measure(view: ImuView, state: ImuState, R_k: Matrix, gravity: float, weights
         Attitude of the first IMU in each pose, v_n = R_k v_0.
     gravity : float
         [m/s^2].
+    slips : Slips
+        Of the moves that several IMUs saw.
     """
     known = np.flatnonzero(view.poses.known)
     up = R_k[known, 2, :] * gravity  # third row: gravity's reaction in the first IMU's frame
     s = up @ state.R
     force = _force_rows(view, state, known, up, s)
     rate = _rate_rows(view, state, known, up, s)
-    turn, J = _turn_rows(view, state, R_k)
+    turn, J = _turn_rows(view, state, R_k, slips)
+    shared = turn[2].shape[1]
+    force, rate = (_widened(block, shared) for block in (force, rate))
     whitened = [
         _whiten(_force_covariance(view, weights, known), *force),
         _whiten(_rate_covariance(view, state, weights, known, J), *_stack(rate, turn)),
@@ -162,6 +196,12 @@ Index = NDArray[np.intp]
 def _stack(one: Block, other: Block) -> Block:
     residual, own, attitudes = (np.concatenate(parts) for parts in zip(one, other, strict=True))
     return residual, own, attitudes
+
+
+def _widened(block: Block, columns: int) -> Block:
+    """Return the block with columns of zeros for the slips, on which its rows do not depend."""
+    residual, own, attitudes = block
+    return residual, own, np.pad(attitudes, ((0, 0), (0, columns - attitudes.shape[1])))
 
 
 def _whiten(V: Matrix, residual: Vector, own: Matrix, attitudes: Matrix) -> Block:
@@ -210,15 +250,20 @@ def _rate_rows(view: ImuView, state: ImuState, known: Index, up: Vectors, s: Vec
     return _flat(residual, own, attitudes)
 
 
-def _turn_rows(view: ImuView, state: ImuState, R_k: Matrix) -> tuple[Block, Matrix]:
-    moves = view.transitions
-    residual, own, attitudes = _empty(len(moves), len(view.poses))
+def _turn_rows(view: ImuView, state: ImuState, R_k: Matrix, slips: Slips) -> tuple[Block, Matrix]:
+    moves, P = view.transitions, len(view.poses)
+    residual, own, attitudes = _empty(len(moves), P + len(slips.values))
     force = (view.raw_force - state.force_bias) @ state.E_a.T
     gyroscope = state.E, state.rate_bias, state.G
     turned, J = preintegrate(view.time, view.raw_rate, force, moves, gyroscope)
     for m, move in enumerate(moves):
         k, m_to = move.start, move.stop
         D = R_k[k].T @ R_k[m_to]
+        place = slips.places.get((k, m_to))
+        if place is not None:
+            D = D @ exp_so3(slips.values[place])
+            column = 3 * (P + place)
+            attitudes[m, :, column : column + 3] = state.R.T
         seen = state.R.T @ D @ state.R
         residual[m] = Rotation.from_matrix(turned[m].T @ seen).as_rotvec()
         own[m, :, 9:30] = -J[m]
@@ -244,7 +289,7 @@ def _rate_covariance(
     white = np.square(poses.rate_density) / poses.duration[known, np.newaxis] + weights.rate[0]
     calibrated = np.square(state.E) @ np.square(poses.rate_density)
     length = np.array([view.time[move.end - 1] - view.time[move.begin] for move in moves])
-    angles = np.array([_angle(view, state, move) for move in moves])
+    angles = np.array([turned_angle(view, state, move) for move in moves])
     walked = np.outer(length, calibrated) + weights.turn * np.square(angles)[:, np.newaxis]
     V = np.diag(np.concatenate((white.ravel(), walked.ravel())))
     A = np.zeros((rows + turns, rows))
@@ -257,7 +302,7 @@ def _rate_covariance(
     return np.asarray(V + weights.rate[1] * A @ walk @ A.T)
 
 
-def _angle(view: ImuView, state: ImuState, move: Transition) -> float:
+def turned_angle(view: ImuView, state: ImuState, move: Transition) -> float:
     """Return how far the board was turned in a move, all directions added up [rad]."""
     span = slice(move.begin, move.end)
     rate = np.linalg.norm((view.raw_rate[span] - state.rate_bias) @ state.E.T, axis=1)

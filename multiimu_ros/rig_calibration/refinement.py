@@ -13,7 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, LinAlgError
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from multiimu_ros.arrays import Flags, Matrix, Vector, Vectors
@@ -32,11 +34,11 @@ from multiimu_ros.rig_calibration.measurements import (
 
 STEPS = 30
 DONE = 1e-3  # of its sigma: a step that small changes nothing that anybody could see
-FREE_TURN = 1e-8  # [1/rad^2] holds the yaw, which nothing determines, without weighing in
-LOST = 2.0  # [rad] a pose that turns by so much in a step was never near the answer
-COMPONENT_ROUNDS = 3
+HELD = 1e4  # [1/rad] of a yaw that nothing determines: any weight holds it, and bends nothing
+LOST = 2.0  # [rad] a pose that tilts by so much in a step was never near the answer
+COMPONENT_ROUNDS = 12
 FIRST_TURN = 1e-7  # (0.3 mrad per rad)^2, where the first excess shows itself
-LEAST_SLIP = 1e-12
+FIRST_SLIP, LEAST_SLIP = 1e-5, 1e-9  # the former is (3 mrad per rad)^2
 LEAST_ANGLE = 1e-3  # [rad] a rest that was cut in two is no move
 
 
@@ -123,13 +125,16 @@ def refine(
     CalibrationError
         If the fit does not settle.
     """
+    if len(views) > 1:  # coming from above, no single bad move bends the first fit
+        weights = [replace(weight, turn=FIRST_SLIP) for weight in weights]
     problem = _Problem(
         tuple(views), tuple(states), tuple(weights), R_k, gravity, *_common_moves(views, states)
     )
     for _ in range(COMPONENT_ROUNDS):
         problem, rows, covariance = _settle(problem)
         previous, problem = problem.components, problem.reweighted(rows, covariance)
-        if np.allclose(previous, problem.components, rtol=0.02):
+        close = 0.03 * max(problem.components)
+        if np.allclose(previous, problem.components, rtol=0.03, atol=close):
             break
     problem, rows, covariance = _settle(problem)
     own = UNKNOWNS * len(problem.views)
@@ -168,12 +173,13 @@ class _Problem:
     gravity: float
     slips: Slips
     angles: Vector  # (U,): how far the board was turned in each of the moves [rad]
-    slip: float = FIRST_TURN  # variance of a slip per squared radian of its move
+    slip: float = FIRST_SLIP  # variance of a slip per squared radian of its move
 
     @property
     def components(self) -> list[float]:
         """The variance components that are estimated here."""
-        return [*(weight.turn for weight in self.weights), self.slip]
+        slip = [self.slip] if len(self.angles) else []
+        return [*(weight.turn for weight in self.weights), *slip]
 
     @property
     def free(self) -> Flags:
@@ -192,16 +198,30 @@ class _Problem:
         """Return derivatives (M, D) by the free unknowns and residuals (M,), slips' own last."""
         own, shared = UNKNOWNS * len(rows), 3 * len(self.angles)
         residual = np.concatenate([r.residual for r in rows])
-        J = np.zeros((len(residual) + shared, len(self.free)))
+        J = np.zeros((len(residual) + len(self.roots) + shared, len(self.free)))
         begin = 0
         for i, r in enumerate(rows):
             end = begin + len(r.residual)
             J[begin:end, UNKNOWNS * i : UNKNOWNS * (i + 1)] = r.own
             J[begin:end, own:] = r.attitudes
             begin = end
+        for row, root in enumerate(self.roots, start=begin):
+            column = own + 3 * root
+            J[row, column : column + 3] = HELD * self.R_k[root, 2]
         weight = np.repeat(1 / (np.sqrt(self.slip) * self.angles), 3)
-        J[begin:, len(self.free) - shared :] = np.diag(weight)
-        return J[:, self.free], np.concatenate((residual, weight * self.slips.values.ravel()))
+        J[len(J) - shared :, len(self.free) - shared :] = np.diag(weight)
+        slipped = weight * self.slips.values.ravel()
+        return J[:, self.free], np.concatenate((residual, np.zeros(len(self.roots)), slipped))
+
+    @property
+    def roots(self) -> list[int]:
+        """First pose of every chain of moves: its yaw is free, and held."""
+        P = len(self.R_k)
+        moves = [(m.start, m.stop) for view in self.views for m in view.transitions]
+        start, stop = np.array(moves).T
+        graph = coo_array((np.ones(len(moves)), (start, stop)), shape=(P, P))
+        labels = connected_components(graph, directed=False)[1]
+        return [int(root) for root in np.unique(labels, return_index=True)[1]]
 
     def moved(self, step: Matrix) -> '_Problem':
         full = np.zeros(len(self.free))
@@ -235,7 +255,8 @@ class _Problem:
             grown = excess(slice(begin + r.moves.start, begin + r.moves.stop))
             begin += len(r.residual)
             weights.append(replace(weight, turn=_raised(weight.turn, grown)))
-        slip = max(self.slip * excess(slice(begin, None)), LEAST_SLIP)
+        common = slice(len(J) - 3 * len(self.angles), None)
+        slip = max(self.slip * excess(common), LEAST_SLIP)
         return replace(self, weights=tuple(weights), slip=slip)
 
 
@@ -243,7 +264,7 @@ def _raised(turn: float, excess: float) -> float:
     """Return the component that would explain the excess, coming from below or above."""
     if turn == 0.0:
         return FIRST_TURN if excess > 1.2 else 0.0
-    return turn * excess
+    return max(turn * excess, LEAST_SLIP)
 
 
 def _settle(problem: _Problem) -> tuple[_Problem, list[Rows], Matrix]:
@@ -253,12 +274,15 @@ def _settle(problem: _Problem) -> tuple[_Problem, list[Rows], Matrix]:
         J, residual = problem.stacked(rows)
         information = J.T @ J
         size = np.sqrt(np.diag(information)).clip(1e-300)
-        scaled = information / np.outer(size, size) + FREE_TURN * np.eye(len(size))
-        factor = cho_factor(scaled)
+        try:
+            factor = cho_factor(information / np.outer(size, size))
+        except LinAlgError:  # far from any sensible attitude the moves lose their meaning
+            break
         step = -cho_solve(factor, J.T @ residual / size) / size
         covariance = cho_solve(factor, np.eye(len(size))) / np.outer(size, size)
         known = UNKNOWNS * len(problem.views) - 3
-        if not np.abs(step[known:]).max() < LOST:
+        turns = step[known : known + 3 * len(problem.R_k)].reshape(-1, 3)
+        if not np.abs(np.cross(turns, problem.R_k[:, 2])).max() < LOST:
             break
         problem = problem.moved(step)
         if np.all(np.abs(step[:known]) < DONE * np.sqrt(np.diag(covariance)[:known])):

@@ -3,7 +3,9 @@
 Gravity in the poses (thesis (6.2)) and the rate while moving (6.5) each give a rotation in closed
 form; both carry what the intrinsics left unknown, which is no noise that averages out.  So each
 covariance is that of the residuals plus the answers to every intrinsic parameter moved by its
-sigma, and the two rotations are averaged with the inverse of these as weights.
+sigma, and the two rotations are averaged with the inverse of these as weights.  What an error of
+the accelerometers does to gravity it does to the gyroscopes too, whose axes were found by gravity:
+that share is common to both rotations and does not average out.
 """
 
 from collections.abc import Iterator
@@ -15,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from multiimu_ros.arrays import Flags, Matrix, Scalars, Vector, Vectors
 from multiimu_ros.calibration.static_intervals import StaticIntervals
 from multiimu_ros.errors import CalibrationError
-from multiimu_ros.registration.wahba import fit_rotation, RotationFit
+from multiimu_ros.registration.wahba import fit_rotation
 from multiimu_ros.rig import Imu, Intrinsics, Triad
 from multiimu_ros.rig_calibration.board import Board, pose_means
 from multiimu_ros.rig_calibration.motion import CommonMotion, MOVING
@@ -42,6 +44,15 @@ class Mounting:
     R: Matrix
     covariance: Matrix
     disagreement: float
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """One rotation, and which part (3, 3) of its covariance (3, 3) the intrinsics make [rad^2]."""
+
+    rotation: Rotation
+    covariance: Matrix
+    systematic: Matrix
 
 
 def fit_mountings(
@@ -77,25 +88,30 @@ def fit_mountings(
     return tuple(mountings)
 
 
-def _averaged(fits: list[RotationFit]) -> Mounting:
+def _averaged(fits: list[_Fit]) -> Mounting:
     """Return the mean of rotations near each other, weighted by their information."""
     anchor = fits[0].rotation
     turns = [(anchor.inv() * fit.rotation).as_rotvec() for fit in fits]
     information = [np.linalg.inv(fit.covariance) for fit in fits]
     covariance = np.linalg.inv(np.sum(information, axis=0))
-    mean = covariance @ np.sum([i @ t for i, t in zip(information, turns, strict=True)], axis=0)
-    apart = float(np.linalg.norm(turns[-1])) if len(fits) > 1 else float('nan')
+    share = [covariance @ one for one in information]
+    mean = np.sum([w @ turn for w, turn in zip(share, turns, strict=True)], axis=0)
+    apart = float('nan')
+    if len(fits) > 1:
+        apart = float(np.linalg.norm(turns[-1]))
+        common = share[0] @ fits[0].systematic @ share[1].T
+        covariance = covariance + common + common.T
     return Mounting((anchor * Rotation.from_rotvec(mean)).as_matrix(), covariance, apart)
 
 
-def _from_gravity(first: Vectors, own: Vectors, imus: tuple[Imu, Imu]) -> RotationFit | None:
+def _from_gravity(first: Vectors, own: Vectors, imus: tuple[Imu, Imu]) -> _Fit | None:
     both = np.isfinite(first).all(axis=1) & np.isfinite(own).all(axis=1)
     if both.sum() < LEAST_POSES:
         return None
     return _fit(first[both], own[both], None, imus, 'accelerometer')
 
 
-def _from_rates(first: Vectors, own: Vectors, imus: tuple[Imu, Imu]) -> RotationFit | None:
+def _from_rates(first: Vectors, own: Vectors, imus: tuple[Imu, Imu]) -> _Fit | None:
     known: Flags = np.asarray(np.isfinite(first).all(axis=1) & np.isfinite(own).all(axis=1))
     turning = known & (np.linalg.norm(np.where(known[:, None], first, 0.0), axis=1) > MOVING)
     chosen = np.flatnonzero(turning)[::THINNING]
@@ -117,20 +133,20 @@ def _robust(square: Scalars) -> Scalars:
 
 def _fit(
     a: Vectors, b: Vectors, weights: Scalars | None, imus: tuple[Imu, Imu], triad: str
-) -> RotationFit | None:
+) -> _Fit | None:
     try:
         fit = fit_rotation(a, b, weights)
     except CalibrationError:  # parallel vectors: the other kind may still tell
         return None
-    covariance = fit.covariance.copy()
+    systematic = np.zeros((3, 3))
     for imu, first in zip(imus, (True, False), strict=True):
         known = getattr(imu.intrinsics or Intrinsics(), triad)
         for D, d in error_modes(known):
             moved = (a + a @ D.T + d, b) if first else (a, b + b @ D.T + d)
             R, _ = Rotation.align_vectors(*moved, weights)
             turn = (fit.rotation.inv() * R).as_rotvec()
-            covariance += np.outer(turn, turn)
-    return RotationFit(fit.rotation, covariance, fit.residual_rms)
+            systematic += np.outer(turn, turn)
+    return _Fit(fit.rotation, fit.covariance + systematic, systematic)
 
 
 def error_modes(triad: Triad) -> Iterator[tuple[Matrix, Vector]]:

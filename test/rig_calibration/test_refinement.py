@@ -79,7 +79,7 @@ def test_the_yaw_that_nothing_determines_changes_nothing(rng, monkeypatch):
     other = refined(replace(board, R_k=turn @ board.R_k), np.random.default_rng(1))
     assert np.abs(parameters(one.states[0]) - parameters(other.states[0])).max() < 1e-9
     assert_allclose(other.R_k[:, 2], one.R_k[:, 2], atol=1e-9)  # the vertical in each pose
-    monkeypatch.setattr(refinement, 'FREE_TURN', 1e-6)
+    monkeypatch.setattr(refinement, 'HELD', 1e2)
     held = refined(board, np.random.default_rng(1))
     shift = parameters(held.states[0]) - parameters(one.states[0])
     assert np.abs(shift / sigma(one, 0)).max() < 1e-2  # the tolerance of the fit, DONE, tenfold
