@@ -3,6 +3,9 @@
 import os
 import zlib
 
+# Before numpy: two workers whose linear algebra uses two threads each get into each other's way.
+os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+
 from hypothesis import settings
 import numpy as np
 import pytest

@@ -6,6 +6,7 @@ or rclpy; a verb whose file is not installed is not listed.
 
 from importlib import import_module
 from importlib.util import find_spec
+import os
 import sys
 from typing import Any
 
@@ -85,8 +86,15 @@ def _root() -> None:
     """Many cheap IMUs on one rigid body become one good IMU and an odometry."""
 
 
+# Matrices are small here: threads of the linear algebra would only wait for each other, and on two
+# cores make a calibration five times slower.  It looks at these once, when numpy is imported.
+ONE_THREAD = ('OPENBLAS_NUM_THREADS', 'OMP_NUM_THREADS', 'MKL_NUM_THREADS')
+
+
 def main() -> None:
     """Run the command line; an error of the user's is one sentence on stderr and exit code 1."""
+    for name in ONE_THREAD:
+        os.environ.setdefault(name, '1')
     try:
         app()
     except MultiImuError as error:

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 from rich.console import Console
 from rich.progress import Progress
 from rich.text import Text
-from threadpoolctl import threadpool_limits
 import typer
 
 from multiimu_ros.bags import find_imu_topics, ImuTrack, list_topics, read_imus, Topic
@@ -155,10 +154,8 @@ def run_calibration(
         tracks = read_imus(bag, [found[k] for k in range(len(found))]).tracks
         facts = _facts(bag, tracks, present)
         board = _with_frames(board, tracks)
-        # Matrices are small here: threads of the linear algebra would wait for each other.
-        with threadpool_limits(1):
-            samples = [track.samples for track in tracks]
-            calibration = calibrate_rig(board, samples, stages=stages, joint=joint, tell=tell)
+        samples = [track.samples for track in tracks]
+        calibration = calibrate_rig(board, samples, stages=stages, joint=joint, tell=tell)
     return Run(bag, calibration, facts)
 
 
