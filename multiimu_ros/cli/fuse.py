@@ -20,7 +20,15 @@ from multiimu_ros.cli.options import (
     split_names,
     with_progress,
 )
-from multiimu_ros.pipeline import FusedFrame, Local, Master, Pipeline, PipelineConfig, ProfileName
+from multiimu_ros.pipeline import (
+    FusedFrame,
+    ImuHealth,
+    Local,
+    Master,
+    Pipeline,
+    PipelineConfig,
+    ProfileName,
+)
 from multiimu_ros.rig import load_rig, Rig
 from multiimu_ros.samples import ImuSamples
 
@@ -71,8 +79,15 @@ def fuse(
     print_table(
         f'{summary["frames"]} frames, {summary["duration_s"]:.1f} s at {summary["speed"]:.0f} x '
         f'real time, {summary["still_share"]:.0%} still, to {output}',
-        summary['imus'],
+        [_row(imu) for imu in summary['imus']],
     )
+    for imu in summary['imus']:
+        if imu['recalibrate']:
+            typer.echo(f'{imu["name"]}: recalibrate it; its {imu["recalibrate"]} is off')
+
+
+def _row(imu: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in imu.items() if not isinstance(value, dict)}
 
 
 def _config(profile: str, local: str, master: str) -> PipelineConfig:
@@ -146,6 +161,14 @@ def _write_block(bag: BagWriter, frames: list[FusedFrame], base_frame: str) -> N
         bag.write('/odom', stamp_ns, odom)
 
 
+def _health(imu: ImuHealth) -> dict[str, Any]:
+    """Return the state of one IMU: plain figures, and its gaps to the others under their names."""
+    gaps = {name: gap._asdict() for name, gap in vars(imu.disagreement).items()}
+    raised = ', '.join(name for name, gap in gaps.items() if gap['raised'])
+    figures = {key: value for key, value in vars(imu).items() if key != 'disagreement'}
+    return figures | {'recalibrate': raised, 'disagreement': gaps}
+
+
 def _summary(
     pipeline: Pipeline, recording: ImuRecording, still: float, seconds: float
 ) -> dict[str, Any]:
@@ -158,5 +181,5 @@ def _summary(
         'duration_s': duration,
         'speed': duration / seconds,
         'still_share': still,
-        'imus': [vars(imu) for imu in pipeline.health()],
+        'imus': [_health(imu) for imu in pipeline.health()],
     }
