@@ -14,12 +14,13 @@ import tempfile
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 from scipy.spatial.transform import Rotation
 import yaml
 
 from multiimu_ros.arrays import Matrix, Vector
 from multiimu_ros.errors import ConfigError
+from multiimu_ros.sheet import load_sheet, parse_sheet
 
 MAX_IMUS = 16
 
@@ -215,40 +216,21 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
     ConfigError
         If the file is missing, no YAML, or wrong; names the file and the key's path.
     """
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding='utf-8'))
-    except OSError as error:
-        msg = f'Cannot read the rig file `{path}`: {error.strerror}; pass an existing file.'
-        raise ConfigError(msg) from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        first = ' '.join(str(error).split())
-        msg = f'The rig file `{path}` is not YAML: {first}.'
-        raise ConfigError(msg) from error
-    return parse_rig(content, str(path))
+    return _distinct(load_sheet(path, Rig, 'rig'), str(path))
 
 
 def parse_rig(content: object, source: str) -> Rig:
     """Validate the content of a rig file; `source` names it in the error."""
-    try:
-        rig = Rig.model_validate(content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        reason = first['msg'].removeprefix('Value error, ')
-        got = (
-            '' if first['type'] in ('missing', 'extra_forbidden') else f', got {first["input"]!r}'
-        )
-        msg = f'{source}: `{_key_path(first["loc"])}`: {reason}{got[:120]}.'
-        raise ConfigError(msg) from error
+    return _distinct(parse_sheet(content, Rig, source), source)
+
+
+def _distinct(rig: Rig, source: str) -> Rig:
+    """Return the rig, or refuse it if two IMUs have one name."""
     repeated = sorted({name for name in rig.names if rig.names.count(name) > 1})
     if repeated:
         msg = f'{source}: `imus` must have distinct names, got `{repeated[0]}` more than once.'
         raise ConfigError(msg)
     return rig
-
-
-def _key_path(location: Sequence[str | int]) -> str:
-    path = ''.join(f'[{part}]' if isinstance(part, int) else f'.{part}' for part in location)
-    return path.removeprefix('.') or 'the top level'
 
 
 class _RigDumper(yaml.SafeDumper):

@@ -23,8 +23,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, FiniteFloat,
 from scipy.spatial.transform import Rotation
 
 from multiimu_ros.arrays import Matrix
-from multiimu_ros.registration.sheet import load_sheet
 from multiimu_ros.rig import Extrinsics, Quaternion, Table, Triple
+from multiimu_ros.sheet import load_sheet
 
 SQUARE = 1e-3  # a matrix typed with four digits is that orthogonal
 

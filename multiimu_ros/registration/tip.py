@@ -26,10 +26,10 @@ from scipy.stats import chi2
 
 from multiimu_ros.arrays import Matrix, Vector, Vectors
 from multiimu_ros.errors import CalibrationError
-from multiimu_ros.registration.sheet import load_sheet
 from multiimu_ros.registration.wahba import fit_rotation
 from multiimu_ros.rig import Extrinsics, Triple
 from multiimu_ros.rotations import skew
+from multiimu_ros.sheet import load_sheet
 
 MAX_MISFIT = 0.08  # of the board's radius, where no pointer sigma says what to expect
 MIN_WIDTH = 0.05  # of the board's length, below which corners count as collinear

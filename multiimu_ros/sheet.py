@@ -1,5 +1,6 @@
-"""Sheets that a person fills in, one YAML file each: read, and refused with the key's path."""
+"""Files that a person writes in YAML: read, validated, and refused with the path of the key."""
 
+from collections.abc import Sequence
 import os
 from pathlib import Path
 from typing import TypeVar
@@ -10,10 +11,12 @@ import yaml
 from multiimu_ros.errors import ConfigError
 
 Sheet = TypeVar('Sheet', bound=BaseModel)
+TOLD = ('missing', 'extra_forbidden')  # kinds of error whose message needs no `got`
+LONGEST = 120  # characters of what came
 
 
 def load_sheet(path: str | os.PathLike[str], model: type[Sheet], kind: str) -> Sheet:
-    """Read a YAML file into `model`; `kind` says what it should hold, as in `tip calibration`.
+    """Read a YAML file into `model`; `kind` says what it should hold, as in `rig`.
 
     Raises
     ------
@@ -28,14 +31,27 @@ def load_sheet(path: str | os.PathLike[str], model: type[Sheet], kind: str) -> S
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         msg = f'The {kind} file `{path}` is not YAML: {" ".join(str(error).split())}.'
         raise ConfigError(msg) from error
+    return parse_sheet(content, model, str(path))
+
+
+def parse_sheet(content: object, model: type[Sheet], source: str) -> Sheet:
+    """Validate content that was read; `source` names it in the error.
+
+    Raises
+    ------
+    ConfigError
+        If it is wrong; names the key's path.
+    """
     try:
         return model.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
-        parts = (f'[{part}]' if isinstance(part, int) else f'.{part}' for part in first['loc'])
-        key = ''.join(parts).removeprefix('.') or 'the top level'
         reason = first['msg'].removeprefix('Value error, ')
-        told = first['type'] in ('missing', 'extra_forbidden', 'value_error')
-        got = '' if told else f', got {first["input"]!r:.80}'
-        msg = f'{path}: `{key}`: {reason}{got}.'
+        got = '' if first['type'] in TOLD else f', got {first["input"]!r}'
+        msg = f'{source}: `{_key_path(first["loc"])}`: {reason}{got[:LONGEST]}.'
         raise ConfigError(msg) from error
+
+
+def _key_path(location: Sequence[str | int]) -> str:
+    path = ''.join(f'[{part}]' if isinstance(part, int) else f'.{part}' for part in location)
+    return path.removeprefix('.') or 'the top level'
