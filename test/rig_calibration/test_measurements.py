@@ -14,6 +14,8 @@ from multiimu_ros.rig_calibration.measurements import (
     _turn_rows,
     ImuState,
     measure,
+    NO_SLIPS,
+    Slips,
     UNKNOWNS,
     Weights,
 )
@@ -28,7 +30,7 @@ def board():
     return exact_board(np.random.default_rng(3), imus=2, poses=4, samples=25)
 
 
-def blocks(view, state, R_k):
+def blocks(view, state, R_k, slips=NO_SLIPS):
     """Return force, rate and turn rows: (residual, own, attitudes) each."""
     known = np.flatnonzero(view.poses.known)
     up = GRAVITY * R_k[known, 2]
@@ -36,7 +38,7 @@ def blocks(view, state, R_k):
     return [
         _force_rows(view, state, known, up, s),
         _rate_rows(view, state, known, up, s),
-        _turn_rows(view, state, R_k)[0],
+        _turn_rows(view, state, R_k, slips)[0],
     ]
 
 
@@ -91,6 +93,21 @@ def test_the_slopes_of_the_turns_are_those_of_finite_differences(board, imu):
     # The accelerometer turns nothing but through the g-sensitivity of 1e-4, in 2 s: left out.
     assert np.abs(expected[:, :9]).max() < 5e-4 * GRAVITY
     assert not own[:, :9].any()
+
+
+@pytest.mark.parametrize('imu', [0, 1])
+def test_the_slopes_of_slips_are_those_of_finite_differences(board, imu):
+    view, state = board.views[imu], board.states[imu]
+    places = {(1, 2): 0, (2, 3): 1}  # the first move has none
+
+    def turns(values):
+        return blocks(view, state, board.R_k, Slips(places, values.reshape(2, 3)))[2]
+
+    steps = STEP * np.eye(6)
+    expected = np.transpose([(turns(h)[0] - turns(-h)[0]) / (2 * STEP) for h in steps])
+    _, _, shared = turns(np.zeros(6))
+    assert_allclose(shared[:, 12:], expected, atol=1e-8)
+    assert_allclose(shared[:, :12], blocks(view, state, board.R_k)[2][2], atol=1e-15)
 
 
 def test_whitened_rows_are_those_of_the_covariance(board):
