@@ -50,6 +50,7 @@ static: $(READY)
 kernels: $(READY)
 	@echo 'Compiling the kernels, if they are new to this machine ...'
 	@$(BIN)/python examples/pipeline_in_a_loop.py
+	@$(BIN)/python examples/calibration.py
 
 bench: $(READY)  ## microseconds per fused frame; latency and CPU of the live graph
 	$(BIN)/multiimu bench
