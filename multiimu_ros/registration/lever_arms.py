@@ -5,7 +5,7 @@
 in the frame of the body, with rate w and angular acceleration a.  Taking the mean over the IMUs
 removes f_0; what is left is linear in the lever arms r_i, the biases b_i that calibration left,
 and D_i, what it left of scale, misalignment and mounting.  Without D_i an error of 50 ppm in scale
-would pass for a tenth of a millimetre.  One axis of rotation leaves r unknown along itself; the
+would pass for a tenth of a millimetre where the board is rocked slowly.  One axis of rotation leaves r unknown along itself; the
 prior of `REACH` keeps it finite there, and its sigma says so.
 """
 
@@ -63,7 +63,7 @@ def lever_arm_matrices(rate_products: Matrix, angular_acceleration: Vectors) -> 
     L[:, 1, 2] -= x
     L[:, 2, 0] -= y
     L[:, 2, 1] += x
-    return L
+    return np.asarray(L)
 
 
 def fit_lever_arms(
@@ -100,12 +100,8 @@ def fit_lever_arms(
             residuals[i] = y - X @ theta[i]
         noise = float(np.square(residuals).mean())
     inverse = np.linalg.inv(information)
-    covariance = np.stack(
-        [
-            _covariance(X, residuals[i] - residuals[0], block, inverse, noise, prior)
-            for i in range(count)
-        ]
-    )
+    apart = residuals - residuals[0]
+    covariance = _covariances(X, apart, block, inverse, 2 * noise**2 * np.diag(prior**-2.0))
     covariance[0] = 0.0
     before = np.sqrt(np.square(force - mean[:, np.newaxis]).sum(axis=2).mean(axis=0))
     after = np.sqrt(np.square(residuals).sum(axis=2).mean(axis=1))
@@ -122,15 +118,42 @@ def _regressors(L: Matrix, mean: Vectors) -> Matrix:
     return X
 
 
-def _covariance(
-    X: Matrix, residual: Vectors, block: Scalars, inverse: Matrix, noise: float, prior: Scalars
+def _covariances(
+    X: Matrix, residuals: Matrix, block: Scalars, inverse: Matrix, prior: Matrix
 ) -> Matrix:
-    """Return the covariance (3, 3) of one lever arm less the first, from the scores of blocks."""
-    scores = np.einsum('nip,ni->np', X, residual)
-    sums = np.stack([np.bincount(block, column) for column in scores.T], axis=1)
-    centred = sums - sums.mean(axis=0)
-    spread = centred.T @ centred + 2 * noise**2 * np.diag(prior**-2.0)
-    return np.asarray((inverse @ spread @ inverse)[:3, :3])
+    """Return the covariance (K, 3, 3) of each lever arm less the first, from scores of blocks.
+
+    A block pulls the fit towards itself, by X_b A^-1 X_b' of its noise; the jackknife's
+    (I - A_b A^-1)^-1 undoes that.  `prior` (15, 15) is what the prior adds to the spread.
+    """
+    spread = np.tile(prior, (len(residuals), 1, 1))
+    for number in np.unique(block):
+        own = X[block == number].reshape(-1, 15)
+        scores = residuals[:, block == number].reshape(len(residuals), -1) @ own
+        scores = np.linalg.solve(np.eye(15) - own.T @ own @ inverse, scores.T).T
+        spread += scores[:, :, np.newaxis] * scores[:, np.newaxis]
+    return np.stack([_cautious(inverse, one) for one in inverse @ spread])
+
+
+def _cautious(inverse: Matrix, relative: Matrix) -> Matrix:
+    """Return inverse S inverse for positions (3, 3), nowhere below its own average level.
+
+    A minute has few blocks that turn fast, so that the spread along a single direction is a
+    chance figure, too small as often as too large; the level of all 15 together is well known.
+
+    Parameters
+    ----------
+    inverse : (15, 15) array
+        Of the information, in units in which the noise is one.
+    relative : (15, 15) array
+        inverse S: a multiple of the identity if all blocks were alike.
+    """
+    level = np.trace(relative) / 15
+    root = np.linalg.cholesky(inverse[:3, :3])
+    found = np.linalg.solve(root, (relative @ inverse)[:3, :3])
+    values, axes = np.linalg.eigh(np.linalg.solve(root, found.T))
+    turned = root @ axes
+    return np.asarray(turned * np.maximum(values, level) @ turned.T)
 
 
 def weakest_axis(L: Matrix) -> tuple[Scalars, Matrix]:

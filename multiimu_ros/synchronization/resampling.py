@@ -3,20 +3,21 @@
 A cubic spline brings the samples to the grid, a Gaussian takes out what the grid cannot carry.
 The same kernel on every stream keeps every linear relation between streams, and the derivative of
 the kernel gives that of the smoothed signal: nothing is biased by smoothing, as it would be by a
-difference quotient.  Around a hole, and around samples that must not be used, everything is NaN.
+difference quotient.  What the kernel would take from a hole, from samples that must not be used or
+from beyond the ends is NaN.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
 from multiimu_ros.arrays import Flags, Matrix, Scalars
 
 GAP_PERIODS = 3.0
 REACH = 4.0  # sigmas of the kernel that a hole spoils on either side
-WIDTH = 1.25  # sigma of the kernel in steps: aliases below 1e-4 of the signal
+WIDTH = 1.25  # sigma of the kernel in steps: 5e-4 of a tone at half the rate is left, 1e-4 at 0.55
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def resample(time: Scalars, values: Matrix, usable: Flags, grid: Grid) -> Matrix
     Returns
     -------
     (N, C) array
-        NaN in and around holes and outside the samples.
+        NaN in holes and outside the samples.
     """
     kept = usable & np.isfinite(values).all(axis=1)
     if kept.sum() < 4:
@@ -77,15 +78,8 @@ def resample(time: Scalars, values: Matrix, usable: Flags, grid: Grid) -> Matrix
     right = np.searchsorted(t, grid.time).clip(1, len(t) - 1)
     wide = (t[right] - t[right - 1]) > GAP_PERIODS * np.median(np.diff(t))
     outside = (grid.time < t[0]) | (grid.time > t[-1])
-    out[_widened(wide | outside, grid)] = np.nan
+    out[wide | outside] = np.nan
     return out
-
-
-def _widened(bad: Flags, grid: Grid) -> Flags:
-    """Return the flags (N,), spread as far as the kernel reaches."""
-    reach = int(np.ceil(REACH * grid.sigma / grid.step))
-    padded = np.convolve(bad, np.ones(2 * reach + 1))[reach : reach + len(bad)]
-    return np.asarray(padded > 0.5)
 
 
 def smooth(values: Matrix, grid: Grid, order: int = 0) -> Matrix:
@@ -95,13 +89,21 @@ def smooth(values: Matrix, grid: Grid, order: int = 0) -> Matrix:
     ----------
     order : int
         0 for the signal, 1 for its derivative [1/s].
+
+    Returns
+    -------
+    (N, ...) array
+        NaN as far as the kernel reaches from holes and ends.
     """
     width = grid.sigma / grid.step
+    reach = int(np.ceil(REACH * width))
+    missing = np.asarray(~np.isfinite(values), np.uint8)
+    spoilt = maximum_filter1d(missing, 2 * reach + 1, axis=0, mode='constant', cval=1)
     out = gaussian_filter1d(
         bridge(values), width, axis=0, order=order, truncate=6.0, mode='nearest'
     )
     out = np.asarray(out / grid.step**order)
-    out[~np.isfinite(values)] = np.nan
+    out[spoilt > 0] = np.nan
     return out
 
 
