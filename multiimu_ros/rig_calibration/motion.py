@@ -6,8 +6,9 @@ import numpy as np
 
 from multiimu_ros.arrays import Matrix, Scalars
 from multiimu_ros.rig_calibration.board import Board
-from multiimu_ros.synchronization.resampling import Grid, make_grid, resample, smooth
+from multiimu_ros.synchronization.resampling import Grid, make_grid, resample, smooth, WIDTH
 
+SMOOTHING_S = 0.02  # sigma: a hand is slower, and noise of the angular acceleration shortens arms
 MOVING = 0.3  # [rad/s] below it, nothing is learnt of mounting and lever arms
 
 
@@ -40,7 +41,8 @@ def common_motion(board: Board) -> CommonMotion:
     start_ns = int(board.tracks[0].samples.stamp_ns[0])
     spans = [track.seconds_since(start_ns) for track in board.tracks]
     step = max(float(np.median(np.diff(span))) for span in spans)
-    grid = make_grid(max(s[0] for s in spans), min(s[-1] for s in spans), step)
+    begin, end = max(s[0] for s in spans), min(s[-1] for s in spans)
+    grid = make_grid(begin, end, step, max(WIDTH * step, SMOOTHING_S))
     readings = np.empty((grid.count, len(spans), 6))
     for k, (track, span) in enumerate(zip(board.tracks, spans, strict=True)):
         samples = board.calibrated(k)
