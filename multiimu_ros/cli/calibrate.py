@@ -1,33 +1,42 @@
 """`multiimu calibrate`: one recording of N IMUs becomes the rig file that the nodes load."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
 from rich.console import Console
-from rich.progress import Progress
 from rich.text import Text
 import typer
 
-from multiimu_ros.bags import find_imu_topics, ImuTrack, list_topics, read_imus, Topic
-from multiimu_ros.cli.bag_facts import bag_facts, bag_sha256, temperature_span
+from multiimu_ros.bags import list_topics
+from multiimu_ros.cli.calibration_run import Run, run_calibration
 from multiimu_ros.cli.options import AsJson, OptionsFile, print_json, print_table, split_names
 from multiimu_ros.cli.rig_start import start_rig
 from multiimu_ros.errors import ConfigError
 from multiimu_ros.rig import Rig, save_rig
-from multiimu_ros.rig_calibration.calibrate import calibrate_rig, Calibration, rest_rms, STAGES
-from multiimu_ros.rig_calibration.verdicts import GOOD, judge, REDO, USABLE, Verdict, worst
+from multiimu_ros.rig_calibration.calibrate import STAGES
+from multiimu_ros.rig_calibration.verdicts import (
+    AT_REST,
+    GOOD,
+    GRADES,
+    LIMITS,
+    REDO,
+    TURN,
+    USABLE,
+    Verdict,
+    worst,
+)
 
 STYLES = {GOOD: 'green', USABLE: 'yellow', REDO: 'bold red'}
 KINDS = {
     'accelerometer': 'accel',
     'gyroscope': 'gyro',
+    'noise': 'noise',
     'rotation': 'rotation',
     'lever arm': 'arm',
     'time offset': 'time',
 }
-STEPS_PER_IMU, STEPS = 2, 5  # what the progress bar counts to
 
 app = typer.Typer(add_completion=False)
 
@@ -40,16 +49,18 @@ def calibrate(
     output: Annotated[Path, typer.Option('--output', '-o', help='Rig file to write.')],
     rig: Annotated[
         Path | None,
-        typer.Option(help='Rig file to start from: drawn poses, noise; may be the same.'),
+        typer.Option(help='Rig file to start from: drawn poses, noise; may be the same as -o.'),
     ] = None,
     topics: Annotated[
         list[str], typer.Option(help='Topics of imu0, imu1 ...; default: `<imu>/data_raw`.')
     ] = [],  # noqa: B006 typer copies it
-    gravity: Annotated[float | None, typer.Option(help='Local gravity [m/s^2].')] = None,
+    gravity: Annotated[float | None, typer.Option(help='Local gravity in m/s^2.')] = None,
     latitude: Annotated[
-        float | None, typer.Option(help='Gives gravity, with --height [deg].')
+        float | None, typer.Option(help='In degrees; gives gravity, with --height.')
     ] = None,
-    height: Annotated[float, typer.Option(help='Above the sea [m].')] = 0.0,
+    height: Annotated[
+        float | None, typer.Option(help='Above the sea in m; default: 0.', show_default=False)
+    ] = None,
     only: Annotated[
         list[str], typer.Option(help=f'Repeat only: {", ".join(STAGES)}; needs --rig.')
     ] = [],  # noqa: B006 typer copies it
@@ -62,66 +73,72 @@ def calibrate(
 ) -> None:
     """Calibrate a board from one bag: a rest, 20 or more still poses, then waving about.
 
-    Finds bias, scale, misalignment and g-sensitivity of every IMU, its noise, how it is turned
-    and where it sits, and the delay of its stamps, each with its standard deviation and a verdict.
-    The exit code is 0 when a rig was written; what is not good enough is named with the remedy.
+    Finds biases, scales, misalignments, g-sensitivity, noise, rotations, lever arms and delays.
+
+    Each comes with its sigma and a verdict; what to record better is said where it is not good.
+
+    The exit code is 0 when a rig file was written; a file that was there is kept as `.old`.
     """
+    stages = _stages(only, rig)
+    refuse_unwritable(output, report)
     present = list_topics(bag)
     board, wanted = start_rig(rig, output, present, split_names(topics))
-    stages = split_names(only) or list(STAGES)
-    if only and rig is None:
-        msg = '`--only` must come with `--rig`, whose other content it keeps.'
-        raise ConfigError(msg)
     board = with_gravity(board, gravity, latitude, height)
-    run = run_calibration(bag, board, present, wanted, stages, joint=joint)
+    run = run_calibration(bag, board, present, wanted, stages, joint=joint, bare=rig is None)
     finish(run, output, report, as_json=as_json)
 
 
-class Run:
-    """A calibration, and the recording that it came from."""
-
-    def __init__(
-        self, bag: Path, calibration: Calibration, facts: Sequence[dict[str, Any]]
-    ) -> None:
-        self.bag = bag
-        self.calibration = calibration
-        self.verdicts = judge(calibration)
-        imus = zip(calibration.after.imus, facts, strict=True)
-        noted = [
-            imu.model_copy(
-                update={'provenance': imu.provenance | fact | self._residuals(k, imu.name)}
-            )
-            for k, (imu, fact) in enumerate(imus)
-        ]
-        self.rig = calibration.after.model_copy(update={'imus': tuple(noted)})
-
-    def _residuals(self, k: int, name: str) -> dict[str, Any]:
-        own = tuple(verdict for verdict in self.verdicts if verdict.imu == name)
-        noted: dict[str, Any] = {'verdict': worst(own)}
-        if self.calibration.intrinsics:
-            fit = self.calibration.intrinsics[k]
-            rms = rest_rms(fit.residual_after, fit.poses.duration)
-            noted |= {'poses': int(fit.poses.known.sum()), 'residual_rms': round(rms, 6)}
-        alignment = self.calibration.alignments[k] if self.calibration.alignments else None
-        if alignment is not None and alignment.fine is not None and alignment.fine.skew:
-            noted |= {'clock_skew_ppm': round(1e6 * alignment.fine.skew, 4)}
-        return noted
+def _stages(only: Sequence[str], rig: Path | None) -> tuple[str, ...]:
+    """Return the stages to run, in their order."""
+    names = split_names(only)
+    unknown = [name for name in names if name not in STAGES]
+    if unknown:
+        msg = f'`--only` must be one of {", ".join(STAGES)}, got `{unknown[0]}`.'
+        raise ConfigError(msg)
+    if names and rig is None:
+        msg = '`--only` must come with `--rig`, whose other content it keeps.'
+        raise ConfigError(msg)
+    return tuple(stage for stage in STAGES if not names or stage in names)
 
 
-def with_gravity(board: Rig, gravity: float | None, latitude: float | None, height: float) -> Rig:
+def refuse_unwritable(output: Path, report: Path | None) -> None:
+    """Find out before a minute of calculation, not after it, that a place is no place to write.
+
+    Raises
+    ------
+    ConfigError
+        If the rig file cannot be written, or the folder of the report cannot be made.
+    """
+    if output.is_dir() or not os.access(output.absolute().parent, os.W_OK | os.X_OK):
+        msg = f'`-o {output}` must be a file in a writable folder, and is not; choose another.'
+        raise ConfigError(msg)
+    if report is None:
+        return
+    beneath = next(place for place in (report, *report.absolute().parents) if place.exists())
+    if not beneath.is_dir() or not os.access(beneath, os.W_OK | os.X_OK):
+        msg = f'`--report {report}` must be a writable folder, and is not; choose another.'
+        raise ConfigError(msg)
+
+
+def with_gravity(
+    board: Rig, gravity: float | None, latitude: float | None, height: float | None
+) -> Rig:
     """Return the rig with the gravity that the user states, if any.
 
     Raises
     ------
     ConfigError
-        If both ways are used at once, or a figure is out of range.
+        If both ways are used at once or half of one, or a figure is out of range.
     """
+    if height is not None and latitude is None:
+        msg = '`--height` must come with `--latitude`, as gravity follows from both; add it.'
+        raise ConfigError(msg)
     if gravity is None and latitude is None:
         return board
     if gravity is not None and latitude is not None:
         msg = '`--gravity` or `--latitude` must be given, got both; leave one out.'
         raise ConfigError(msg)
-    stated = {'gravity': gravity, 'latitude': latitude, 'height': height}
+    stated = {'gravity': gravity, 'latitude': latitude, 'height': height or 0.0}
     frame = board.rig.model_dump() | stated
     try:
         return board.model_copy(update={'rig': type(board.rig).model_validate(frame)})
@@ -131,81 +148,20 @@ def with_gravity(board: Rig, gravity: float | None, latitude: float | None, heig
         raise ConfigError(msg) from error
 
 
-def run_calibration(
-    bag: Path,
-    board: Rig,
-    present: Sequence[Topic],
-    wanted: list[str],
-    stages: Sequence[str],
-    *,
-    joint: bool = False,
-) -> Run:
-    """Read the bag and run the stages, under a progress bar on a terminal's stderr."""
-    found = find_imu_topics(present, board.names, wanted)
-    absent = [name for k, name in enumerate(board.names) if k not in found]
-    if absent:
-        msg = (
-            f'The bag must hold all IMUs of the rig, but nothing was recorded of '
-            f'`{"`, `".join(absent)}`; record it again, or take them out of the rig file.'
-        )
-        raise ConfigError(msg)
-    with _steps(STEPS + STEPS_PER_IMU * len(found)) as tell:
-        tell('reading the bag')
-        tracks = read_imus(bag, [found[k] for k in range(len(found))]).tracks
-        facts = _facts(bag, tracks, present)
-        board = _with_frames(board, tracks)
-        samples = [track.samples for track in tracks]
-        calibration = calibrate_rig(board, samples, stages=stages, joint=joint, tell=tell)
-    return Run(bag, calibration, facts)
-
-
-@contextmanager
-def _steps(total: int) -> Iterator[Callable[[str], None]]:
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task('calibrating', total=total)
-
-        def tell(step: str) -> None:
-            bar.update(task, description=step, advance=1)
-
-        yield tell
-
-
-def _facts(
-    bag: Path, tracks: Sequence[ImuTrack], present: Sequence[Topic]
-) -> list[dict[str, Any]]:
-    sha256 = bag_sha256(bag)
-    facts = []
-    for track in tracks:
-        fact = bag_facts(bag, track, sha256)
-        stamps = track.samples.stamp_ns
-        if len(stamps):
-            fact |= {'duration_s': round(float(stamps[-1] - stamps[0]) * 1e-9, 3)}
-        span = temperature_span(bag, track.topic, present)
-        facts.append(fact if span is None else fact | {'temperature': list(span)})
-    return facts
-
-
-def _with_frames(board: Rig, tracks: Sequence[ImuTrack]) -> Rig:
-    """Give IMUs that nobody calibrated the frames that their messages name."""
-    imus = [
-        imu.model_copy(update={'frame_id': track.frame_id})
-        if track.frame_id and not imu.provenance and imu.extrinsics is None
-        else imu
-        for imu, track in zip(board.imus, tracks, strict=True)
-    ]
-    return board.model_copy(update={'imus': tuple(imus)})
-
-
 def finish(run: Run, output: Path, report: Path | None, *, as_json: bool) -> None:
-    """Write report and rig file, and print the verdicts."""
+    """Write rig file and report, and print the verdicts."""
+    replaced = output.exists()
+    save_rig(run.rig, output)
     if report is not None:
         _write_report(run, report)
-    save_rig(run.rig, output)
     if as_json:
         print_json(as_dict(run))
         return
-    _print(run, output, report)
+    _print(run)
+    kept = f'; what was there before is in {output.name}.old' if replaced else ''
+    typer.echo(f'Rig file: {output}{kept}')
+    if report is not None:
+        typer.echo(f'Report: {report / "calibration.html"}')
 
 
 def _write_report(run: Run, folder: Path) -> None:
@@ -235,37 +191,40 @@ def as_dict(run: Run) -> dict[str, Any]:
     }
 
 
-def _print(run: Run, output: Path, report: Path | None) -> None:
+def _print(run: Run) -> None:
+    # Sentences are wrapped by the terminal, so that a copied one is whole.
     console = Console(soft_wrap=True, highlight=False)
     calibration = run.calibration
-    print_table(
-        f'{len(calibration.intervals)} rests; grade of each figure by its sigma',
-        [_row(run, name) for name in calibration.after.names],
-    )
+    rows = [_row(run, name) for name in calibration.after.names]
+    print_table(f'{len(calibration.intervals)} rests; the worst verdict of each kind', rows)
+    if calibration.intrinsics:
+        console.print(
+            f'|f|-g: error of the force at rest in mm/s^2, good up to {LIMITS[AT_REST][0]:g}\n'
+            f'turn: error of gravity after a turn in mdeg, good up to {LIMITS[TURN][0]:g}'
+        )
     if len(calibration.after.imus) > 1:
         before, after = 1e3 * calibration.spread_before, 1e3 * calibration.spread_after
         console.print(
-            f'at rest the IMUs differ by {before:.3g} mm/s^2 before and {after:.3g} after'
+            f'forces of the IMUs at rest: {before:.0f} mm/s^2 apart before, now {after:.1f}'
         )
     for note in calibration.notes:
-        console.print(Text(note, style=STYLES[REDO]))
+        console.print(Text.assemble(('note', STYLES[REDO]), f' {note}'))
     for grade, quantity, imus, why in grouped(run.verdicts):
         everybody = len(imus) == len(calibration.after.imus) > 2
         named = f' {quantity} of {"all IMUs" if everybody else ", ".join(imus)}: {why}'
         console.print(Text.assemble((grade, STYLES[grade]), named))
-    where = '' if report is None else f', the report to {report / "calibration.html"}'
-    console.print(f'Written to {output}{where}')
 
 
 def grouped(verdicts: Sequence[Verdict]) -> list[tuple[str, str, list[str], str]]:
-    """Return what is not good: grade, quantity, its IMUs, and the reason of the worst of them."""
+    """Return what is not good, the worst first: grade, quantity, IMUs, reason of the worst IMU."""
     groups: dict[tuple[str, str], list[Verdict]] = {}
     for verdict in verdicts:
         if verdict.grade != GOOD:
             groups.setdefault((verdict.grade, verdict.quantity), []).append(verdict)
+    ranked = sorted(groups.items(), key=lambda item: -GRADES.index(item[0][0]))
     return [
         (grade, quantity, [v.imu for v in group], max(group, key=lambda v: v.size).why)
-        for (grade, quantity), group in sorted(groups.items(), key=lambda item: item[0][0])
+        for (grade, quantity), group in ranked
     ]
 
 
@@ -276,9 +235,6 @@ def _row(run: Run, name: str) -> dict[str, Any]:
     for kind, head in KINDS.items():
         grades = tuple(v for quantity, v in own.items() if quantity.startswith(kind))
         row[head] = worst(grades) if grades else '-'
-    for quantity, head in (
-        ('|f| - g at rest', '|f|-g mm/s2'),
-        ('gravity after a turn', 'turn mdeg'),
-    ):
+    for quantity, head in ((AT_REST, '|f|-g'), (TURN, 'turn')):
         row[head] = own[quantity].value if quantity in own else '-'
     return row

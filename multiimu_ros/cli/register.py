@@ -7,15 +7,18 @@ from a drawing.
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from multiimu_ros.bags import list_topics
-from multiimu_ros.cli.calibrate import finish, run_calibration
+from multiimu_ros.cli.calibrate import finish, refuse_unwritable
+from multiimu_ros.cli.calibration_run import run_calibration
 from multiimu_ros.cli.options import AsJson, OptionsFile, print_json, print_table, split_names
 from multiimu_ros.errors import ConfigError
 from multiimu_ros.registration.cad import load_cad
 from multiimu_ros.registration.tip import fit_tip, load_tip
 from multiimu_ros.rig import Extrinsics, load_rig, Rig, save_rig
+from multiimu_ros.rig_calibration.wording import as_text, roll_pitch_yaw
 
 STAGES = ('time', 'rotation', 'lever_arm')
 
@@ -41,14 +44,15 @@ def register(
     """Find rotations, lever arms and delays of the IMUs, keeping everything else of the rig."""
     board = load_rig(rig)
     if sum(way is not None for way in (bag, tip, cad)) != 1:
-        msg = 'One of BAG, `--tip` and `--cad` must say where the IMUs are, and only one.'
+        msg = 'One of BAG, `--tip` and `--cad` must say where the IMUs are; give just one of them.'
         raise ConfigError(msg)
+    refuse_unwritable(output, report)
     if bag is not None:
         run = run_calibration(bag, board, list_topics(bag), split_names(topics), STAGES)
         finish(run, output, report, as_json=as_json)
         return
     if report is not None:
-        msg = '`--report` must go with a BAG: a pointer or a drawing leaves nothing to plot.'
+        msg = '`--report` must go with a BAG, as nothing else leaves something to plot; drop it.'
         raise ConfigError(msg)
     poses, warnings = _from_tip(board, tip) if tip is not None else (load_cad(cad or Path()), [])
     save_rig(_placed(board, poses, 'pointer' if tip is not None else 'drawing'), output)
@@ -61,7 +65,10 @@ def _from_tip(board: Rig, path: Path) -> tuple[dict[str, Extrinsics], list[str]]
     fit = fit_tip(survey)
     main = {imu.name: imu.extrinsics or Extrinsics() for imu in board.imus}.get(survey.main)
     if main is None:
-        msg = f'{path}: `main` must be an IMU of the rig, got `{survey.main}`.'
+        msg = (
+            f'{path}: `main` must be one of {", ".join(board.names)}, the IMUs of the rig, got '
+            f'`{survey.main}`; correct it.'
+        )
         raise ConfigError(msg)
     poses = {name: _composed(main, pose) for name, pose in fit.extrinsics.items()}
     warnings = [
@@ -85,7 +92,8 @@ def _composed(main: Extrinsics, own: Extrinsics) -> Extrinsics:
 def _placed(board: Rig, poses: dict[str, Extrinsics], way: str) -> Rig:
     unknown = sorted(poses.keys() - set(board.names))
     if unknown:
-        msg = f'`{unknown[0]}` must be an IMU of the rig, which has {", ".join(board.names)}.'
+        known = ', '.join(board.names)
+        msg = f'`{unknown[0]}` must be one of {known}, the IMUs of the rig; correct its name.'
         raise ConfigError(msg)
     imus = [
         imu.model_copy(
@@ -111,13 +119,15 @@ def _print(
     rows = [
         {
             'imu': name,
-            'rotation': ' '.join(f'{x:.5f}' for x in pose.rotation),
+            'roll, pitch, yaw [deg]': ' '.join(f'{x:.2f}' for x in roll_pitch_yaw(pose.R_bs)),
             'lever arm [mm]': ' '.join(f'{1e3 * x:.2f}' for x in pose.lever_arm),
-            'sigma [mm]': ' '.join(f'{1e3 * x:.2f}' for x in pose.lever_arm_sigma or ()),
+            'sigma [mm]': as_text(1e3 * np.array(pose.lever_arm_sigma), 2)
+            if pose.lever_arm_sigma
+            else 'not stated',
         }
         for name, pose in poses.items()
     ]
     print_table('Poses in the base frame', rows)
     for warning in warnings:
         typer.echo(warning)
-    typer.echo(f'Written to {output}')
+    typer.echo(f'Rig file: {output}')

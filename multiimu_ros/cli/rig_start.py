@@ -7,7 +7,7 @@ import re
 from multiimu_ros.bags import find_imu_topics, Topic
 from multiimu_ros.bags.reader import IMU_TYPE
 from multiimu_ros.errors import ConfigError
-from multiimu_ros.rig import Imu, load_rig, Rig, RigFrame
+from multiimu_ros.rig import Imu, load_rig, MAX_IMUS, Rig, RigFrame
 
 
 def start_rig(
@@ -26,10 +26,14 @@ def start_rig(
     if output.exists():
         msg = f'`--rig {output}` must be given to keep what it holds, or another `-o` be chosen.'
         raise ConfigError(msg)
-    raw = [t.name for t in present if t.type == IMU_TYPE and t.name.endswith('/data_raw')]
+    imu_topics = [t.name for t in present if t.type == IMU_TYPE and t.count]
+    raw = [name for name in imu_topics if name.endswith('/data_raw')]
     found = wanted or sorted(raw, key=_by_number)
     if not found:
         find_imu_topics(present, ['imu0'])  # which says what the bag holds instead
+    if len(found) > MAX_IMUS:
+        msg = f'`--topics` must name at most {MAX_IMUS} IMUs of the bag, which has {len(found)}.'
+        raise ConfigError(msg)
     imus = tuple(Imu(name=name, frame_id=f'{name}_link') for name in names_of(found))
     return Rig(version=1, rig=RigFrame(name=output.stem), imus=imus), found
 
