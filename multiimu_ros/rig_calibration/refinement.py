@@ -35,7 +35,6 @@ from multiimu_ros.rig_calibration.measurements import (
 STEPS = 30
 DONE = 1e-3  # of its sigma: a step that small changes nothing that anybody could see
 HELD = 1e4  # [1/rad] of a yaw that nothing determines: any weight holds it, and bends nothing
-LOST = 2.0  # [rad] a pose that tilts by so much in a step was never near the answer
 COMPONENT_ROUNDS = 12
 FIRST_TURN = 1e-7  # (0.3 mrad per rad)^2, where the first excess shows itself
 FIRST_SLIP, LEAST_SLIP = 1e-5, 1e-9  # the former is (3 mrad per rad)^2
@@ -270,20 +269,17 @@ def _raised(turn: float, excess: float) -> float:
 def _settle(problem: _Problem) -> tuple[_Problem, list[Rows], Matrix]:
     """Iterate Gauss-Newton until the step is far below its own sigma."""
     for _ in range(STEPS):
-        rows = problem.rows()
-        J, residual = problem.stacked(rows)
-        information = J.T @ J
-        size = np.sqrt(np.diag(information)).clip(1e-300)
         try:
+            rows = problem.rows()
+            J, residual = problem.stacked(rows)
+            information = J.T @ J
+            size = np.sqrt(np.diag(information)).clip(1e-300)
             factor = cho_factor(information / np.outer(size, size))
         except LinAlgError:  # far from any sensible attitude the moves lose their meaning
             break
         step = -cho_solve(factor, J.T @ residual / size) / size
         covariance = cho_solve(factor, np.eye(len(size))) / np.outer(size, size)
         known = UNKNOWNS * len(problem.views) - 3
-        turns = step[known : known + 3 * len(problem.R_k)].reshape(-1, 3)
-        if not np.abs(np.cross(turns, problem.R_k[:, 2])).max() < LOST:
-            break
         problem = problem.moved(step)
         if np.all(np.abs(step[:known]) < DONE * np.sqrt(np.diag(covariance)[:known])):
             return problem, problem.rows(), covariance

@@ -169,7 +169,7 @@ def test_no_move_has_a_saturated_sample(samples, intervals, where):
 
 
 def test_saturation_and_gaps_in_a_rest_break_no_move(samples, intervals):
-    begin = np.searchsorted(samples.stamp_ns, intervals.begin_ns[4]) + 20
+    begin = np.searchsorted(samples.stamp_ns, intervals.end_ns[4]) - 25  # just before a move
     usable = np.ones(len(samples), bool)
     usable[begin] = False
     assert len(moves(samples, intervals, usable)) == 8

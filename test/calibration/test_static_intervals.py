@@ -162,9 +162,12 @@ def test_a_board_that_never_rests_has_no_intervals():
     assert len(find_intervals(STEP_NS * np.arange(100), np.full(100, 50.0), 3.0)) == 0
 
 
-def test_a_noiseless_recording_rests_too():
+@pytest.mark.parametrize('rate_hz', [100.0, 2000.0])  # the finer, the softer a move begins
+def test_a_noiseless_recording_rests_too(rate_hz):
     silent = replace(BMI160, gyroscope=TriadErrors(), accelerometer=TriadErrors())
-    spans = seconds(found(recorded(3, errors=silent).raw), recorded(3).raw[0].stamp_ns[0])
+    spans = seconds(
+        found(recorded(3, rate_hz=rate_hz, errors=silent).raw), recorded(3).raw[0].stamp_ns[0]
+    )
     assert_allclose(spans, rests_of(recorded(3)), atol=CONFIG.window_s)
 
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from calibration_runs import exact_board, GRAVITY, parameters, readings, unit
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -74,10 +74,11 @@ def test_calibrated_poses_read_gravity_whatever_the_sensor(seed):
 
 
 def test_counts_are_fitted_from_a_start_that_is_far_off(rng):
-    """As a program that knows nothing starts: scale 1, and the middle of a 16-bit range."""
     E = np.array([[2.41e-3, -8e-6, -2e-5], [0.0, 2.43e-3, -5e-5], [0.0, 0.0, 2.40e-3]])
     bias = np.array([33124.0, 33275.0, 32364.0])
-    model = fit_accelerometer(poses_of(felt(sphere(rng, 36), E, bias)), GRAVITY, (1.0, 32768.0))
+    model = fit_accelerometer(
+        poses_of(felt(sphere(rng, 36), E, bias)), GRAVITY, (1.0, 32768.0)
+    )  # 16 bits
     assert_allclose(model.E, E, atol=1e-10)  # 1e-7 of the scale
     assert_allclose(model.bias, bias, atol=1e-3)  # counts, of which 4000 are g
 
@@ -266,6 +267,7 @@ def test_a_gyroscope_is_fitted_from_a_scale_that_is_far_off(wrong, rng):
     assert_allclose(model.E, board.states[0].E * per_count, atol=1e-9 * per_count)
 
 
+@settings(max_examples=10)  # slow where nothing is compiled
 @given(seeds)
 def test_a_gyroscope_is_found_in_the_frame_of_the_accelerometer(seed):
     """Turned against the accelerometer, it has the E of the turn times its own."""

@@ -22,6 +22,7 @@ from multiimu_ros.calibration.tedaldi import (
     fit_rest_rate,
     predicted_spread,
 )
+from multiimu_ros.errors import CalibrationError
 from multiimu_ros.rig_calibration.measurements import ImuState, ImuView, Weights
 from multiimu_ros.rig_calibration.refinement import first_attitudes, refine
 from multiimu_ros.samples import ImuSamples
@@ -184,6 +185,14 @@ def test_the_poses_of_an_mpu6050_read_gravity(mpu6050, detector):
     # Ten poses for nine parameters, two of them of a fraction of a second.
     assert_allclose(model.scale, scale, rtol=1e-3)
     assert_allclose(model.bias, bias, atol=30)  # counts, of which 1670 are 1 m/s^2
+
+
+def test_rests_of_an_mpu6050_that_are_none_end_in_a_refusal(mpu6050):
+    # Eighty times the quietest variance: the board is put down, not lying.
+    loose = find_intervals(mpu6050.stamp_ns, variance_ratio(mpu6050), 80.0)
+    fit = Fit(mpu6050, loose, GRAVITY, START_MPU6050, PER_COUNT)
+    with pytest.raises(CalibrationError, match='does not settle'):
+        fit.refined()
 
 
 def test_the_published_parameters_of_an_mpu6050_leave_what_they_say(mpu6050):

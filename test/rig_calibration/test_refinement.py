@@ -180,3 +180,15 @@ def test_a_start_from_which_nothing_settles_is_refused(rng):
     lost = board.states[0].moved(np.r_[np.full(3, -0.99), np.zeros(30)])
     with pytest.raises(CalibrationError, match=r'does not settle; record more poses'):
         refine(board.views, [lost], [NOTHING], board.R_k[::-1], GRAVITY)
+
+
+@pytest.mark.parametrize('seed', range(12))
+def test_a_wild_start_ends_at_the_truth_or_in_a_refusal(seed):
+    rng = np.random.default_rng(seed)
+    board = exact_board(rng, imus=2, poses=9)
+    try:
+        fit = refined(board, rng, off=10 ** rng.uniform(-3.5, 1.5))
+    except CalibrationError:  # one sentence, and no warning of an overflow before
+        return
+    for imu in range(2):
+        assert np.abs(error(fit, board, imu)).max() < 1e-6
