@@ -18,17 +18,27 @@ MAX_GAP = 1.5  # periods of a stream, beyond which nothing is interpolated
 
 
 @dataclass(frozen=True)
-class Peak:
-    """Where two signals agree best: `offset` [s] to be added to the second's times."""
+class Correlation:
+    """Pearson's correlation of two signals over the offsets of their clocks.
 
+    Parameters
+    ----------
+    lags, values : (L,) arrays
+        Offsets [s], to be added to the second's times, and the correlation at each [-].
+    offset, correlation : float
+        Where it peaks, between the lags [s], and how high [-].
+    """
+
+    lags: Scalars
+    values: Scalars
     offset: float
     correlation: float
 
 
-def correlate_rates(
-    times_a: Scalars, a: Scalars, times_b: Scalars, b: Scalars, min_overlap: float, name: str
-) -> Peak:
-    """Find the offset of the second signal's clock.
+def correlate_speeds(
+    times_a: Scalars, a: Scalars, times_b: Scalars, b: Scalars, min_overlap: float
+) -> Correlation:
+    """Correlate two signals at every offset of the second one's clock.
 
     Parameters
     ----------
@@ -37,26 +47,35 @@ def correlate_rates(
     a, b : (N,), (M,) arrays
         The same quantity; NaN is a gap.
     min_overlap : float
-        What share of the shorter signal must overlap [-].
-    name : str
-        What the message calls the second one.
+        What share of the shorter signal must overlap [-]; with less, the value is -1.
+    """
+    step = float(max(np.median(np.diff(times_a)), np.median(np.diff(times_b))))
+    even_a, there_a = _on_grid(times_a, a, step)
+    even_b, there_b = _on_grid(times_b, b, step)
+    values = _pearson(even_a, there_a, even_b, there_b, min_overlap)
+    lags = times_a[0] - times_b[0] + step * correlation_lags(len(even_a), len(even_b))
+    k = int(np.argmax(values))
+    inside = 0 < k < len(values) - 1
+    offset = float(lags[k]) + (step * _vertex(values, k) if inside else 0.0)
+    return Correlation(np.asarray(lags, np.float64), values, offset, float(values[k]))
+
+
+def correlate_rates(
+    times_a: Scalars, a: Scalars, times_b: Scalars, b: Scalars, min_overlap: float, name: str
+) -> Correlation:
+    """Find the offset of the second signal's clock; `name` is what a message calls it.
 
     Raises
     ------
     SyncError
         If they agree nowhere.
     """
-    step = float(np.median(np.diff(times_a)))
-    even_a, there_a = _on_grid(times_a, a, step)
-    even_b, there_b = _on_grid(times_b, b, step)
-    pearson = _pearson(even_a, there_a, even_b, there_b, min_overlap)
-    k = int(np.argmax(pearson))
-    if not pearson[k] > MIN_CORRELATION:
+    found = correlate_speeds(times_a, a, times_b, b, min_overlap)
+    if not found.correlation > MIN_CORRELATION:
         msg = f'The rates of `{name}` fit those of the target at no offset (correlation '
-        msg += f'{pearson[k]:.2f} at best); check that both recorded the same motion.'
+        msg += f'{found.correlation:.2f} at best); check that both recorded the same motion.'
         raise SyncError(msg)
-    lag = float(correlation_lags(len(even_a), len(even_b))[k]) + _vertex(pearson, k)
-    return Peak(float(times_a[0] - times_b[0]) + lag * step, float(pearson[k]))
+    return found
 
 
 def _on_grid(times: Scalars, values: Scalars, step: float) -> tuple[Scalars, Flags]:
@@ -93,5 +112,6 @@ def _pearson(
 
 def _vertex(values: Scalars, k: int) -> float:
     """Return where the parabola through three neighbours peaks, relative to the middle one."""
-    left, middle, right = values[k - 1 : k + 2]  # a peak has neighbours: ends overlap too little
-    return float(0.5 * (left - right) / (left - 2 * middle + right))
+    left, middle, right = values[k - 1 : k + 2]
+    bend = left - 2 * middle + right
+    return float(0.5 * (left - right) / bend) if bend < 0 else 0.0

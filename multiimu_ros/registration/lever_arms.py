@@ -5,8 +5,8 @@
 in the frame of the body, with rate w and angular acceleration a.  Taking the mean over the IMUs
 removes f_0; what is left is linear in the lever arms r_i, the biases b_i that calibration left,
 and D_i, what it left of scale, misalignment and mounting.  Without D_i an error of 50 ppm in scale
-would pass for a tenth of a millimetre where the board is rocked slowly.  One axis of rotation leaves r unknown along itself; the
-prior of `REACH` keeps it finite there, and its sigma says so.
+would pass for a tenth of a millimetre where the board is rocked slowly.  One axis of rotation
+leaves r unknown along itself; the prior of `REACH` keeps it finite there, and its sigma says so.
 """
 
 from dataclasses import dataclass

@@ -12,15 +12,10 @@ import numpy as np
 from multiimu_ros.arrays import NANOSECONDS, Vectors
 from multiimu_ros.calibration.cleaning import CleanTrack
 from multiimu_ros.errors import CalibrationError, SyncError
+from multiimu_ros.registration.correlation import Correlation, MIN_CORRELATION
 from multiimu_ros.rig_calibration.board import Board
-from multiimu_ros.synchronization.delay import (
-    correlate_rates,
-    Correlation,
-    fit_time_map,
-    LEAST_CORRELATION,
-    RateTrack,
-    TimeMap,
-)
+from multiimu_ros.synchronization.delay import fit_time_map, TimeMap
+from multiimu_ros.synchronization.rate_track import correlate_tracks, RateTrack
 
 NOMINAL_LEAK = np.deg2rad(0.05) / 9.81  # [rad/s per m/s^2] of a gyroscope that was not calibrated
 
@@ -58,17 +53,17 @@ def align_coarsely(board: Board) -> tuple[Board, tuple[Alignment | None, ...]]:
     for k, track in enumerate(board.tracks[1:], start=1):
         names = board.rig.imus[k].name, board.rig.imus[0].name
         try:
-            peak = correlate_rates(first, _track(track, track.samples.angular_rate, start_ns))
+            peak = correlate_tracks(first, _track(track, track.samples.angular_rate, start_ns))
         except SyncError as error:
             raise _named(names, error) from error
-        if peak.peak < LEAST_CORRELATION:
+        if peak.correlation < MIN_CORRELATION:
             msg = (
-                f'the rates of turn agree at no delay (correlation {peak.peak:.2f}, needed '
-                f'{LEAST_CORRELATION}); are both on one rigid body, and was it turned?'
+                f'the rates of turn agree at no delay (correlation {peak.correlation:.2f}, needed '
+                f'{MIN_CORRELATION}); are both on one rigid body, and was it turned?'
             )
             raise _named(names, msg)
-        tracks.append(track.restamped(track.samples.stamp_ns + round(peak.delay * NANOSECONDS)))
-        found.append(Alignment(peak, peak.delay))
+        tracks.append(track.restamped(track.samples.stamp_ns + round(peak.offset * NANOSECONDS)))
+        found.append(Alignment(peak, peak.offset))
     return Board(board.rig, tuple(tracks)), (None, *found)
 
 

@@ -1,11 +1,7 @@
 """By how much the stamps of one IMU are off those of another on the same body.
 
-Coarse: |w| does not depend on how a gyroscope is mounted, so its correlation over lags peaks where
-the clocks agree.  It is normalised by the overlap of each lag (Pearson); without that the peak
-leans towards the greater overlap, by 0.7 ms in a simulation.  A parabola gives the fraction.
-
-Fine: the rates of both, smoothed alike, differ by a 3 x 3 mixing (mounting, scale, misalignment),
-a bias and a time map,
+Once they are coarsely aligned (`rate_track`), the rates of both, smoothed alike, differ by a 3 x 3
+mixing (mounting, scale, misalignment), a bias and a time map,
 
     w_b(t) = W w_a(t + delay + skew (t - t_0)) + c,
 
@@ -13,58 +9,25 @@ fitted by Gauss-Newton on a spline of w_a.  Its covariance comes from the sums o
 blocks of a second, so that noise of any colour, and stamps that jitter, are counted as they are.
 The rates must be free of g-sensitivity: a leak of 0.05 deg/s per g, whose force moves with the
 angular acceleration, passes for 10 us; what is left of it adds to the covariance.
-
-Also the alignment of [1]_: the instants at which each stream first leaves its rest.
-
-.. [1] IJAMCE, "Multi-IMU data fusion for indoor navigation", 3.2.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.signal import correlate
 
 from multiimu_ros.arrays import Flags, Matrix, Scalars, Vector, Vectors
 from multiimu_ros.errors import SyncError
+from multiimu_ros.registration.correlation import MIN_CORRELATION
+from multiimu_ros.synchronization.rate_track import correlate_tracks, RateTrack, usable
 from multiimu_ros.synchronization.resampling import bridge, Grid, make_grid, resample, smooth
 
-LEAST_OVERLAP_S = 5.0
-LEAST_CORRELATION = 0.8  # of |w|: two boards in one hand reach 0.5, one board 0.99
 ITERATIONS = 30
 REWEIGHTED = 4  # times at least
 BLOCK_S = 1.0
 NO_SKEW = 4.0
 FREEDOM = 4.0
 MEDIAN_OF_THREE = 2.366  # of a chi-squared variable with three degrees of freedom
-ONSET = 8.0  # times the scatter of the first second, smoothed
-
-
-@dataclass(frozen=True)
-class RateTrack:
-    """Angular rates of one IMU.
-
-    Parameters
-    ----------
-    time : (N,) array
-        On its own clock [s].
-    rate : (N, 3) array
-        In any unit and frame; NaN where unusable.
-    force : (N, 3) array, optional
-        Specific force [m/s^2], to say what an unknown g-sensitivity may do.
-    leak_sigma : (3, 3) array, optional
-        Standard deviation of the g-sensitivity that is left [rad/s per m/s^2].
-    """
-
-    time: Scalars
-    rate: Vectors
-    force: Vectors | None = None
-    leak_sigma: Matrix | None = None
-
-    @property
-    def step(self) -> float:
-        """Median spacing [s]."""
-        return float(np.median(np.diff(self.time)))
 
 
 @dataclass(frozen=True)
@@ -101,69 +64,6 @@ class TimeMap:
         return np.asarray(time + self.delay + self.skew * (time - self.origin))
 
 
-@dataclass(frozen=True)
-class Correlation:
-    """Overlap-normalised correlation of |w| over lags [s], both (L,), and its peak."""
-
-    lags: Scalars
-    values: Scalars
-    delay: float
-    peak: float
-
-
-def correlate_rates(first: RateTrack, second: RateTrack) -> Correlation:
-    """Find the lag at which the rates of turn agree best.
-
-    Raises
-    ------
-    SyncError
-        If the tracks are too short.
-    """
-    step = max(first.step, second.step)
-    (a, a_start), (b, b_start) = _magnitude(first, step), _magnitude(second, step)
-    least = min(len(a), len(b)) // 3
-    if least * step < LEAST_OVERLAP_S / 3:
-        msg = f'Two tracks must overlap by {LEAST_OVERLAP_S:g} s to be aligned; record longer.'
-        raise SyncError(msg)
-    ones_a, ones_b = np.ones(len(a)), np.ones(len(b))
-
-    def over_lags(x: Scalars, y: Scalars) -> Scalars:
-        return np.asarray(correlate(x, y, mode='full', method='fft'))
-
-    n = np.round(over_lags(ones_a, ones_b))
-    sum_a, sum_b = over_lags(a, ones_b), over_lags(ones_a, b)
-    with np.errstate(invalid='ignore', divide='ignore'):
-        covariance = over_lags(a, b) - sum_a * sum_b / n
-        power_a = over_lags(a**2, ones_b) - sum_a**2 / n
-        power_b = over_lags(ones_a, b**2) - sum_b**2 / n
-        power_a = np.maximum(power_a, 1e-6 * power_a.max(initial=1e-300))
-        power_b = np.maximum(power_b, 1e-6 * power_b.max(initial=1e-300))
-        values = covariance / np.sqrt(power_a * power_b)
-    values[n < least] = -1.0
-    lags = (np.arange(len(values)) - (len(b) - 1)) * step + a_start - b_start
-    k = int(np.argmax(values))
-    fraction = 0.0
-    if 0 < k < len(values) - 1:
-        before, here, after = values[k - 1 : k + 2]
-        bend = before - 2 * here + after
-        fraction = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    return Correlation(
-        np.asarray(lags, np.float64), values, float(lags[k] + fraction * step), float(values[k])
-    )
-
-
-def _magnitude(track: RateTrack, step: float) -> tuple[Scalars, float]:
-    """Return |w| less its mean at even steps, holes bridged by 0, and its first instant."""
-    finite = np.isfinite(track.rate).all(axis=1)
-    if finite.sum() < 2:
-        return np.zeros(0), 0.0
-    time, rate = track.time[finite], track.rate[finite]
-    centred = rate - np.median(rate, axis=0)  # the median of a recording that rests is the bias
-    grid = np.arange(time[0], time[-1], step)
-    magnitude = np.interp(grid, time, np.linalg.norm(centred, axis=1))
-    return magnitude - magnitude.mean(), float(time[0])
-
-
 def fit_time_map(first: RateTrack, second: RateTrack) -> TimeMap:
     """Bring the second track onto the clock of the first.
 
@@ -175,20 +75,26 @@ def fit_time_map(first: RateTrack, second: RateTrack) -> TimeMap:
     SyncError
         If the tracks do not turn together; says what to look at.
     """
-    coarse = correlate_rates(first, second)
-    if coarse.peak < LEAST_CORRELATION:
+    coarse = correlate_tracks(first, second)
+    if coarse.correlation < MIN_CORRELATION:
         msg = (
-            f'The rates of turn do not agree at any delay (correlation {coarse.peak:.2f}, '
-            f'needed {LEAST_CORRELATION}); are both IMUs on one rigid body, and was it turned?'
+            f'The rates of turn do not agree at any delay (correlation {coarse.correlation:.2f}, '
+            f'needed {MIN_CORRELATION}); are both IMUs on one rigid body, and was it turned?'
         )
         raise SyncError(msg)
     pair = _Pair.of(first, second)
-    x, covariance, origin, jitter = _fit(pair, coarse.delay, with_skew=True)
+    x, covariance, origin, jitter = _fit(pair, coarse.offset, with_skew=True)
     if abs(x[1]) < NO_SKEW * np.sqrt(covariance[1, 1]):
-        x, covariance, origin, jitter = _fit(pair, coarse.delay, with_skew=False)
+        x, covariance, origin, jitter = _fit(pair, coarse.offset, with_skew=False)
     delay_sigma, skew_sigma = np.sqrt(np.diag(covariance)).tolist()
     return TimeMap(
-        float(x[0]), float(x[1]), float(origin), delay_sigma, skew_sigma, coarse.peak, jitter
+        float(x[0]),
+        float(x[1]),
+        float(origin),
+        delay_sigma,
+        skew_sigma,
+        coarse.correlation,
+        jitter,
     )
 
 
@@ -207,16 +113,16 @@ class _Pair:
     @classmethod
     def of(cls, first: RateTrack, second: RateTrack) -> '_Pair':
         sigma = make_grid(0.0, 0.0, max(first.step, second.step)).sigma
-        grid, a = _smoothed(first, first.step, sigma)
-        own, b = _smoothed(second, second.step, sigma)
-        known = _usable(b)
+        grid, a = first.smoothed(first.step, sigma)
+        own, b = second.smoothed(second.step, sigma)
+        known = usable(b)
         spline = CubicSpline(grid.time, bridge(a), axis=0)
         leak, variance = np.zeros((own.count, 3)), np.zeros((3, 3))
         if second.force is not None and second.leak_sigma is not None:
-            leak = smooth(resample(second.time, second.force, _usable(second.force), own), own)
+            leak = smooth(resample(second.time, second.force, usable(second.force), own), own)
             # The first track leaks as much, along forces that hardly differ but for the mounting.
             variance = 2 * np.square(second.leak_sigma)
-        sound = _usable(a)
+        sound = usable(a)
         leak = np.nan_to_num(leak[known])
         return cls(spline, grid, sound, own.time[known], b[known], leak, variance)
 
@@ -258,15 +164,6 @@ def _fit(pair: _Pair, delay: float, with_skew: bool) -> tuple[Vector, Matrix, fl
         if iteration >= REWEIGHTED and np.all(done) and abs(shift) < BLOCK_S:
             break
     return x, covariance, origin, jitter
-
-
-def _smoothed(track: RateTrack, step: float, sigma: float) -> tuple[Grid, Matrix]:
-    grid = make_grid(float(track.time[0]), float(track.time[-1]), step, sigma)
-    return grid, smooth(resample(track.time, track.rate, _usable(track.rate), grid), grid)
-
-
-def _usable(vectors: Vectors) -> Flags:
-    return np.asarray(np.isfinite(vectors).all(axis=1))
 
 
 def _linearise(
@@ -348,29 +245,3 @@ def _gauss_newton(
     spread = centred.T @ centred + np.einsum('aic,ic,bic->ab', leaked, leak_variance, leaked)
     covariance[:used, :used] = inverse @ spread @ inverse
     return step, covariance
-
-
-def onset_delay(first: RateTrack, second: RateTrack) -> float:
-    """Return the delay [s] that makes both tracks leave their first rest at once (IJAMCE 3.2).
-
-    Raises
-    ------
-    SyncError
-        If a track does not begin with a second of rest and then move.
-    """
-    return _onset(first) - _onset(second)
-
-
-def _onset(track: RateTrack) -> float:
-    grid, rate = _smoothed(track, track.step, 2 * track.step)
-    first = grid.time < grid.start + 1.0
-    rest = rate[first & np.isfinite(rate).all(axis=1)]
-    level = ONSET * np.linalg.norm(rest.std(axis=0)) if len(rest) else np.nan
-    away = np.linalg.norm(rate - rest.mean(axis=0), axis=1)
-    moving = np.flatnonzero(away > level)
-    if not len(moving):
-        msg = 'A track must rest for a second and then be turned, to be aligned by its onset.'
-        raise SyncError(msg)
-    k = int(moving[0])
-    before, here = away[k - 1], away[k]
-    return float(grid.time[k] - grid.step * (here - level) / max(here - before, 1e-300))

@@ -21,12 +21,8 @@ from multiimu_ros.simulation.motion import Trajectory
 from multiimu_ros.simulation.placements import ring
 from multiimu_ros.simulation.recording import simulate
 from multiimu_ros.simulation.trajectories import calibration_path
-from multiimu_ros.synchronization.delay import (
-    correlate_rates,
-    fit_time_map,
-    onset_delay,
-    RateTrack,
-)
+from multiimu_ros.synchronization.delay import fit_time_map
+from multiimu_ros.synchronization.rate_track import correlate_tracks, onset_delay, RateTrack
 
 DELAY = 0.0123  # [s] by which the second clock is behind
 RATE = 100.0  # [Hz]
@@ -204,7 +200,7 @@ def unnormalised_delay(first, second):
 
 def test_correlation_that_is_not_normalised_by_the_overlap_is_biased():
     pairs = [pair(seed, delay=1.5, seconds=30.0) for seed in range(60)]
-    ours = np.array([correlate_rates(*tracks).delay for tracks in pairs]) - 1.5
+    ours = np.array([correlate_tracks(*tracks).offset for tracks in pairs]) - 1.5
     naive = np.array([unnormalised_delay(*tracks) for tracks in pairs]) - 1.5
     # |w| has a mean of 1.6 rad/s: the sum grows with the overlap, and the peak leans to it.
     assert naive.mean() < -0.1e-3
@@ -213,9 +209,17 @@ def test_correlation_that_is_not_normalised_by_the_overlap_is_biased():
     assert abs(ours.mean()) < 0.5 * abs(naive.mean())
 
 
+def test_a_long_hole_takes_no_part_in_the_correlation():
+    first, second = pair(4)
+    heard = (second.time < 12.0) | (second.time > 42.0)
+    found = fit_time_map(first, RateTrack(second.time[heard], second.rate[heard]))
+    assert found.correlation > 0.95  # as without the hole; a line across it would leave 0.7
+    assert abs(found.delay - DELAY) < 4 * found.delay_sigma
+
+
 def test_the_correlation_of_an_overlap_is_pearsons():
     first, second = pair(2, delay=0.0, seconds=10.0)
-    found = correlate_rates(first, second)
+    found = correlate_tracks(first, second)
     a, b = (np.linalg.norm(t.rate - np.median(t.rate, axis=0), axis=1) for t in (first, second))
     a, b = a[:-1], b[:-1]  # the grid ends before the last sample
     for shift in (0, 7, 150):
