@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from multiimu_ros.arrays import Vector
 from multiimu_ros.bags import list_topics
 from multiimu_ros.cli.calibrate import finish, refuse_unwritable
 from multiimu_ros.cli.calibration_run import run_calibration
@@ -109,6 +110,10 @@ def _placed(board: Rig, poses: dict[str, Extrinsics], way: str) -> Rig:
     return board.model_copy(update={'imus': tuple(imus)})
 
 
+def _rounded(values: Vector) -> str:
+    return ' '.join(f'{x:.2f}' for x in np.round(values, 2) + 0.0)  # which has no -0.00
+
+
 def _print(
     poses: dict[str, Extrinsics], warnings: list[str], output: Path, *, as_json: bool
 ) -> None:
@@ -119,8 +124,8 @@ def _print(
     rows = [
         {
             'imu': name,
-            'roll, pitch, yaw [deg]': ' '.join(f'{x:.2f}' for x in roll_pitch_yaw(pose.R_bs)),
-            'lever arm [mm]': ' '.join(f'{1e3 * x:.2f}' for x in pose.lever_arm),
+            'roll, pitch, yaw [deg]': _rounded(roll_pitch_yaw(pose.R_bs)),
+            'lever arm [mm]': _rounded(1e3 * pose.lever_arm_b),
             'sigma [mm]': as_text(1e3 * np.array(pose.lever_arm_sigma), 2)
             if pose.lever_arm_sigma
             else 'not stated',

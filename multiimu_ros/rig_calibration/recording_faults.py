@@ -9,7 +9,6 @@ from multiimu_ros.calibration.cleaning import CleanTrack
 from multiimu_ros.samples import ImuSamples
 
 MISSING, SATURATED, UNSOUND = 'missing samples', 'saturated samples', 'unsound samples'
-LOST = 1.5  # periods: a longer step has lost a sample, or its stamp is late
 WINDOW_S = 0.5  # over which a slow turn tilts gravity and a noise does not
 TILT = 0.1  # [rad] in a window: more than noise, and a turn rather than a knock
 DEGREES = (20.0, 120.0)  # rates in deg/s say 57 times what gravity turns; a spin adds to it
@@ -36,20 +35,19 @@ def fault_shares(track: CleanTrack, begin_ns: int, end_ns: int) -> Mapping[str, 
 
 
 def _missing(track: CleanTrack, begin_ns: int, end_ns: int) -> float:
-    """Return the share of the time that no sample stands for, be it in holes or one by one [-].
+    """Return the share of the samples that never came, be it in holes or one by one [-].
 
-    Stamps that jitter lengthen some steps and shorten others, so that the count of the samples
-    must bear out what the long steps say.  What was dropped as unsound is not missing as well.
+    Jitter of the stamps makes some steps two periods and as many others none, which cancels.
+    What was dropped as unsound did come.
     """
     stamps = track.samples.stamp_ns
-    if len(stamps) < 2 or end_ns <= begin_ns:
+    if len(stamps) < 2:
         return 0.0
     period = float(np.median(np.diff(stamps)))
     steps = np.diff(np.concatenate([[begin_ns], stamps, [end_ns]]))
-    longer = float(np.sum(steps[steps > LOST * period] - period))
-    span = float(end_ns - begin_ns)
-    fewer = span - (len(stamps) + track.not_finite + track.backward) * period
-    return max(0.0, min(longer, fewer)) / span
+    expected = 1.0 + float(np.round(steps / period).sum())
+    came = len(stamps) + track.not_finite + track.backward
+    return max(0.0, 1.0 - came / expected)
 
 
 def looks_like_degrees(samples: ImuSamples) -> bool:
