@@ -116,6 +116,22 @@ def test_one_block_that_decides_the_fit_does_not_look_certain():
     assert np.mean(np.abs(z) < 1.96) > 0.92
 
 
+def test_a_stretch_that_happens_to_be_quiet_does_not_make_an_arm_certain():
+    time = np.arange(0.0, 20.0, 1 / RATE)
+    swing = np.column_stack((2 * np.sin(3 * time), 6 * np.cos(3 * time)))
+    rate, acceleration = np.zeros((len(time), 3)), np.zeros((len(time), 3))
+    for axis, part in ((0, time < 10.0), (2, time >= 10.0)):
+        rate[part, axis], acceleration[part, axis] = swing[part].T
+    force = np.tile([0.0, 0.0, 9.81], (len(time), 1))
+    noise = NOISE * np.random.default_rng(8).standard_normal((len(time), 3, 3))
+    L, block = matrices(rate, acceleration), seconds_of(len(time))
+    even = fit_lever_arms(felt(rate, acceleration, force) + noise, L, block)
+    noise[time >= 10.0] *= 0.01
+    odd = fit_lever_arms(felt(rate, acceleration, force) + noise, L, block)
+    # The quiet half alone tells x: 0.01 of its sigma by itself, 0.7 by the average level.
+    assert 0.5 < odd.sigma[1, 0] / even.sigma[1, 0] < 1.0
+
+
 def test_what_turns_about_one_axis_does_not_know_its_arms_along_it():
     time = np.arange(0.0, 20.0, 1 / RATE)
     rate, acceleration, force = (np.zeros((len(time), 3)) for _ in range(3))
