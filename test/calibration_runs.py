@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from multiimu_ros.calibration.poses import PoseReadings, Transition
 from multiimu_ros.calibration.preintegration import preintegrate
-from multiimu_ros.rig_calibration.measurements import ImuState, ImuView
+from multiimu_ros.rig_calibration.imu_state import ImuState, ImuView
 from multiimu_ros.simulation.errors import BMI160
 from multiimu_ros.simulation.motion import Trajectory
 from multiimu_ros.simulation.placements import row

@@ -16,6 +16,7 @@ from multiimu_ros.calibration.static_intervals import StaticIntervals
 from multiimu_ros.errors import CalibrationError, ConfigError
 from multiimu_ros.rig import Noise, PerTriad, Rig
 from multiimu_ros.rig_calibration.board import Board, pose_means, take_board
+from multiimu_ros.rig_calibration.imu_state import ROTATION
 from multiimu_ros.rig_calibration.intrinsics_stage import (
     find_rests,
     fit_intrinsics,
@@ -26,7 +27,6 @@ from multiimu_ros.rig_calibration.lever_arm_stage import (
     fit_positions,
     LeverArmFit,
 )
-from multiimu_ros.rig_calibration.measurements import ROTATION
 from multiimu_ros.rig_calibration.motion import common_motion
 from multiimu_ros.rig_calibration.refinement import Refined
 from multiimu_ros.rig_calibration.rotation_stage import fit_mountings, Mounting

@@ -5,7 +5,7 @@ import numpy as np
 from multiimu_ros.arrays import Matrix, Vector
 from multiimu_ros.calibration.tedaldi import UPPER
 from multiimu_ros.rig import GyroscopeTriad, Intrinsics, Table, Triad
-from multiimu_ros.rig_calibration.measurements import (
+from multiimu_ros.rig_calibration.imu_state import (
     FORCE_BIAS,
     ImuState,
     RATE_BIAS,

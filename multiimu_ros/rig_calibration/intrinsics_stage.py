@@ -18,16 +18,14 @@ from multiimu_ros.calibration.static_intervals import (
 from multiimu_ros.calibration.tedaldi import (
     AccelerometerModel,
     fit_accelerometer,
-    fit_gyroscope,
-    fit_rest_rate,
-    GyroscopeModel,
     predicted_spread,
 )
+from multiimu_ros.calibration.tedaldi_gyroscope import fit_gyroscope, fit_rest_rate, GyroscopeModel
 from multiimu_ros.errors import CalibrationError
 from multiimu_ros.registration.wahba import fit_rotation
 from multiimu_ros.rig_calibration.board import Board
+from multiimu_ros.rig_calibration.imu_state import ImuState, ImuView, Weights
 from multiimu_ros.rig_calibration.intrinsics_block import as_intrinsics
-from multiimu_ros.rig_calibration.measurements import ImuState, ImuView, Weights
 from multiimu_ros.rig_calibration.refinement import first_attitudes, refine, Refined
 
 PLAUSIBLE = (0.5, 2.0)  # scale of a reading in SI at nominal scale

@@ -1,9 +1,7 @@
 """What the joint fit measures, linearised: the residuals of one IMU and their derivatives.
 
-Unknowns of an IMU, 33 columns in this order: accelerometer scale (3), shear (3), bias (3);
-gyroscope E (9, row by row), bias (3), G (9, row by row); rotation into the first IMU's frame (3,
-perturbed on the right).  Beside them every pose has an attitude R_k of the first IMU (3).  With
-s = R_i' R_k' [0, 0, g], the specific force of the pose in the frame of IMU i:
+Beside the 33 unknowns of each IMU (`imu_state`) every pose has an attitude R_k of the first IMU
+(3 unknowns).  With s = R_i' R_k' [0, 0, g], the specific force of the pose in the frame of IMU i:
 
     accelerometer in pose k   f_raw - (b_a + E_a^-1 s)
     gyroscope in pose k       w_raw - (b_g + E_g^-1 G s)
@@ -14,112 +12,30 @@ than their sampling: seen on real boards, where it is ten times their noise.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 from scipy.spatial.transform import Rotation
 
-from multiimu_ros.arrays import Matrix, Scalars, Vector, Vectors
-from multiimu_ros.calibration.poses import PoseReadings, Transition
+from multiimu_ros.arrays import Matrix, Vector, Vectors
+from multiimu_ros.calibration.poses import Transition
 from multiimu_ros.calibration.preintegration import preintegrate
-from multiimu_ros.calibration.tedaldi import AccelerometerModel, GyroscopeModel, UPPER
+from multiimu_ros.calibration.tedaldi import UPPER
 from multiimu_ros.calibration.variance import walk_covariance
-from multiimu_ros.rotations import exp_so3, skew
-
-SCALE, SHEAR, FORCE_BIAS = slice(0, 3), slice(3, 6), slice(6, 9)
-RATE_E, RATE_BIAS, SENSITIVITY, ROTATION = (
-    slice(9, 18),
-    slice(18, 21),
-    slice(21, 30),
-    slice(30, 33),
+from multiimu_ros.rig_calibration.imu_state import (
+    FORCE_BIAS,
+    ImuState,
+    ImuView,
+    RATE_BIAS,
+    RATE_E,
+    ROTATION,
+    SENSITIVITY,
+    UNKNOWNS,
+    Weights,
 )
-UNKNOWNS = 33
-
-
-@dataclass(frozen=True)
-class ImuView:
-    """One IMU's share of a recording.
-
-    Parameters
-    ----------
-    poses : PoseReadings
-        In all P poses, NaN where it was not heard.
-    transitions : tuple of T Transition
-        Its unbroken moves.
-    time, raw_rate, raw_force : (N,), (N, 3), (N, 3) arrays
-        All samples [s], raw.
-    """
-
-    poses: PoseReadings
-    transitions: tuple[Transition, ...]
-    time: Scalars
-    raw_rate: Vectors
-    raw_force: Vectors
-
-
-@dataclass(frozen=True)
-class ImuState:
-    """The 33 unknowns of one IMU at their present values; see the module."""
-
-    scale: Vector
-    shear: Vector
-    force_bias: Vector
-    E: Matrix
-    rate_bias: Vector
-    G: Matrix
-    R: Matrix
-
-    @classmethod
-    def of(
-        cls, accelerometer: AccelerometerModel, gyroscope: GyroscopeModel, R: Matrix
-    ) -> 'ImuState':
-        """Begin with what the single fits found; `R` (3, 3) maps into the first IMU's frame."""
-        a, g = accelerometer, gyroscope
-        return cls(a.scale, a.shear, a.bias, g.E, g.bias, g.G, R)
-
-    @property
-    def E_a(self) -> Matrix:
-        """M S of the accelerometer (3, 3)."""
-        return self.M_a * self.scale
-
-    @property
-    def M_a(self) -> Matrix:
-        """Misalignment of the accelerometer (3, 3)."""
-        M = np.eye(3)
-        M[UPPER] = self.shear
-        return M
-
-    def moved(self, step: Vector) -> 'ImuState':
-        """Return the state after a step (33,)."""
-        return replace(
-            self,
-            scale=self.scale + step[SCALE],
-            shear=self.shear + step[SHEAR],
-            force_bias=self.force_bias + step[FORCE_BIAS],
-            E=self.E + step[RATE_E].reshape(3, 3),
-            rate_bias=self.rate_bias + step[RATE_BIAS],
-            G=self.G + step[SENSITIVITY].reshape(3, 3),
-            R=self.R @ Rotation.from_rotvec(step[ROTATION]).as_matrix(),
-        )
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Variance components of one IMU, in raw readings but for `turn`.
-
-    Parameters
-    ----------
-    force, rate : (float, float)
-        Of each pose on its own, and of the walking bias per second.
-    turn : float
-        Of the integrated turn, per squared radian of the move [-].
-    """
-
-    force: tuple[float, float]
-    rate: tuple[float, float]
-    turn: float = 0.0
+from multiimu_ros.rotations import exp_so3, skew
 
 
 @dataclass(frozen=True)

@@ -20,17 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from multiimu_ros.arrays import Flags, Matrix, Vector, Vectors
 from multiimu_ros.errors import CalibrationError
-from multiimu_ros.rig_calibration.measurements import (
-    ImuState,
-    ImuView,
-    measure,
-    ROTATION,
-    Rows,
-    Slips,
-    turned_angle,
-    UNKNOWNS,
-    Weights,
-)
+from multiimu_ros.rig_calibration.imu_state import ImuState, ImuView, ROTATION, UNKNOWNS, Weights
+from multiimu_ros.rig_calibration.measurements import measure, Rows, Slips, turned_angle
 
 STEPS = 30
 DONE = 1e-3  # of its sigma: a step that small changes nothing that anybody could see

@@ -14,11 +14,10 @@ from multiimu_ros.calibration.poses import PoseReadings
 from multiimu_ros.calibration.tedaldi import (
     _slope_of_norm,
     fit_accelerometer,
-    fit_gyroscope,
-    fit_rest_rate,
     predicted_spread,
     UPPER,
 )
+from multiimu_ros.calibration.tedaldi_gyroscope import fit_gyroscope, fit_rest_rate
 from multiimu_ros.errors import CalibrationError
 
 seeds = st.integers(0, 2**32 - 1)

@@ -16,14 +16,10 @@ from multiimu_ros.calibration.static_intervals import (
     THRESHOLDS,
     variance_ratio,
 )
-from multiimu_ros.calibration.tedaldi import (
-    fit_accelerometer,
-    fit_gyroscope,
-    fit_rest_rate,
-    predicted_spread,
-)
+from multiimu_ros.calibration.tedaldi import fit_accelerometer, predicted_spread
+from multiimu_ros.calibration.tedaldi_gyroscope import fit_gyroscope, fit_rest_rate
 from multiimu_ros.errors import CalibrationError
-from multiimu_ros.rig_calibration.measurements import ImuState, ImuView, Weights
+from multiimu_ros.rig_calibration.imu_state import ImuState, ImuView, Weights
 from multiimu_ros.rig_calibration.refinement import first_attitudes, refine
 from multiimu_ros.samples import ImuSamples
 

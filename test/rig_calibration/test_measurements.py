@@ -8,16 +8,14 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.spatial.transform import Rotation
 
+from multiimu_ros.rig_calibration.imu_state import ImuState, UNKNOWNS, Weights
 from multiimu_ros.rig_calibration.measurements import (
     _force_rows,
     _rate_rows,
     _turn_rows,
-    ImuState,
     measure,
     NO_SLIPS,
     Slips,
-    UNKNOWNS,
-    Weights,
 )
 
 NOTHING = Weights((0.0, 0.0), (0.0, 0.0))

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from multiimu_ros.errors import CalibrationError
 from multiimu_ros.rig_calibration import refinement
-from multiimu_ros.rig_calibration.measurements import ROTATION, UNKNOWNS, Weights
+from multiimu_ros.rig_calibration.imu_state import ROTATION, UNKNOWNS, Weights
 from multiimu_ros.rig_calibration.refinement import first_attitudes, refine
 
 NOTHING = Weights((0.0, 0.0), (0.0, 0.0))
