@@ -70,7 +70,7 @@ REMEDIES = {
     AT_REST: 'warm the IMUs up for ten minutes, and lay the board down, off the hand',
     TURN: SLOWER,
     AMONG: 'fix all IMUs to one stiff body, and record again',
-    'jitter of stamps': 'let the board stamp its readings; lever arms suffer most',
+    'jitter of stamps': 'let the board stamp its readings, not the program that receives them',
     MISSING: 'look at cable, driver and load of the computer, and record again',
     SATURATED: 'turn more slowly, or set a wider range, and record again',
     UNSOUND: 'look at the driver, which sends NaN or stamps that go back, and record again',

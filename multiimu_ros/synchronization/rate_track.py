@@ -2,7 +2,7 @@
 
 |w| does not depend on how a gyroscope is mounted, so its correlation over lags peaks where the
 clocks agree.  It is normalised by the overlap of each lag (Pearson); without that the peak leans
-towards the greater overlap, by 0.7 ms in a simulation.  A parabola gives the fraction.
+towards the greater overlap, by 0.2 ms in half a minute.  A parabola gives the fraction.
 
 Also the alignment of [1]_: the instants at which each stream first leaves its rest.
 

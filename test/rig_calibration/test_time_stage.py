@@ -14,7 +14,7 @@ from multiimu_ros.samples import ImuSamples
 SEEDS = (0, 1)
 
 
-def test_offsets_are_within_their_sigma_and_three_microseconds():
+def test_offsets_are_within_their_sigma_and_five_microseconds():
     errors, z = [], []
     for seed in SEEDS:
         for k, imu in enumerate(calibrated(seed).after.imus[1:], start=1):
