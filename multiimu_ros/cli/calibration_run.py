@@ -70,10 +70,12 @@ class Run:
         """Return the IMU with where its figures come from: as a whole, or stage by stage."""
         own = fact | self._residuals(k, imu.name)
         if 'intrinsics' in stages:
+            same_noise = imu.noise == self.calibration.before.imus[k].noise
             kept = {
                 key: value
                 for key, value in imu.provenance.items()
-                if key not in stages and not key.startswith(LIVE)
+                if not key.startswith(LIVE)
+                and (key not in stages or (key == 'noise' and same_noise))
             }
             return imu.model_copy(update={'provenance': kept | own})
         parts = {stage: dict(own) for stage in stages}

@@ -77,18 +77,22 @@ def refuse_units(name: str, samples: ImuSamples) -> None:
     """
     force = float(np.median(np.linalg.norm(samples.specific_force, axis=1)))
     rate = float(np.quantile(np.linalg.norm(samples.angular_rate, axis=1), 0.99))
-    if LIKE_G[0] < force < LIKE_G[1]:
-        msg = f'`{name}` reads a force of {force:.3g}: that is g, and must be m/s^2.'
-    elif force <= LIKE_G[0]:
-        msg = f'`{name}` reads a force of {force:.3g} m/s^2: was gravity taken out of it?'
+    if force <= LIKE_G[0]:
+        msg = (
+            f'`{name}` reads a force of {force:.3g} m/s^2: gravity was taken out, and must stay '
+            f'in; publish what the accelerometer feels, and record again.'
+        )
+        raise CalibrationError(msg)
+    if force < LIKE_G[1]:
+        msg = f'`{name}` reads a force of {force:.3g}: that is g, and must be m/s^2; '
     elif force > LIKE_RAW:
-        msg = f'`{name}` reads a force of {force:.3g}: counts or milli-g, and must be m/s^2.'
+        msg = f'`{name}` reads a force of {force:.0f}: counts or milli-g, and must be m/s^2; '
     elif rate > TURN:
-        msg = f'`{name}` reads rates up to {rate:.3g}: that is deg/s or counts, and must be rad/s.'
+        msg = f'`{name}` reads rates up to {rate:.0f}: deg/s or counts, and must be rad/s; '
     else:
         return
-    remedy = f'{msg[:-1]}; convert it in the driver and record again.'
-    raise CalibrationError(remedy)
+    msg += 'convert it in the driver and record again.'
+    raise CalibrationError(msg)
 
 
 def pose_means(samples: ImuSamples, intervals: StaticIntervals) -> Vectors:

@@ -138,7 +138,7 @@ def calibrate_rig(
         tell('rotations and lever arms')
         board, mountings, lever_arms, notes = _place(board, intervals, stages, refined)
     if 'noise' in stages:
-        board = _with_noise(board, intervals)
+        board = _with_noise(board, intervals, keep_allan=len(stages) > 1)
     return Calibration(
         rig,
         board.rig,
@@ -202,10 +202,16 @@ def _known_mountings(rig: Rig) -> tuple[Mounting, ...]:
     )  # fmt: skip
 
 
-def _with_noise(board: Board, intervals: StaticIntervals) -> Board:
-    """Give every IMU the noise density that its scatter within the rests shows."""
+def _with_noise(board: Board, intervals: StaticIntervals, *, keep_allan: bool) -> Board:
+    """Give every IMU the noise density that its scatter within the rests shows.
+
+    What `multiimu allan` found of a longer record stays, unless the noise alone is asked for.
+    """
     imus = []
     for k, imu in enumerate(board.rig.imus):
+        if keep_allan and imu.noise is not None and 'noise' in imu.provenance:
+            imus.append(imu)
+            continue
         density, sigma = _rest_density(board.calibrated(k), intervals)
         update = {'noise_density': _per_triad(density), 'noise_density_sigma': _per_triad(sigma)}
         noise = imu.noise.model_copy(update=update) if imu.noise else Noise.model_validate(update)

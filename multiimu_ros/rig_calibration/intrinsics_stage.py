@@ -29,6 +29,7 @@ from multiimu_ros.rig_calibration.intrinsics_block import as_intrinsics
 from multiimu_ros.rig_calibration.refinement import first_attitudes, refine, Refined
 
 PLAUSIBLE = (0.5, 2.0)  # scale of a reading in SI at nominal scale
+STRANGE = 0.2  # [rad] of gravity after a turn: the worst real boards reach 0.04
 NEGLIGIBLE = 0.1  # of a sigma: no reason for a looser threshold
 Progress = Callable[[str], None]
 
@@ -136,6 +137,7 @@ def fit_imu(board: Board, imu: int, intervals: StaticIntervals) -> ImuFit:
         msg = f'`{name}`: {error}'
         raise CalibrationError(msg) from error
     _refuse_scale(name, gyroscope.E)
+    _refuse_strangers(name, gyroscope.residual)
     view = ImuView(poses, moves, time, samples.angular_rate, samples.specific_force)
     turns, _ = preintegrate(
         time, samples.angular_rate, felt, moves, (gyroscope.E, gyroscope.bias, gyroscope.G)
@@ -160,6 +162,18 @@ def _refuse_scale(name: str, E: Matrix) -> None:
         f'be rad/s; convert them in the driver and record again.'
     )
     raise CalibrationError(msg)
+
+
+def _refuse_strangers(name: str, residual: Scalars) -> None:
+    """Refuse a gyroscope whose turns have nothing to do with those of gravity."""
+    off = float(np.sqrt(np.mean(np.square(residual))))
+    if off > STRANGE:
+        msg = (
+            f'`{name}`: its rates do not carry gravity from pose to pose (off by '
+            f'{np.rad2deg(off):.0f} deg); check that the axes of gyroscope and accelerometer '
+            f'have the same order and signs, and that both were alive.'
+        )
+        raise CalibrationError(msg)
 
 
 def fit_intrinsics(

@@ -176,7 +176,13 @@ class _Problem:
         """Flag the columns that are unknown: all but the first IMU's rotation into itself."""
         flags = np.ones(UNKNOWNS * len(self.views) + 3 * (len(self.R_k) + len(self.angles)), bool)
         flags[ROTATION] = False
+        flags[UNKNOWNS * len(self.views) :][: 3 * len(self.R_k)] = np.repeat(self.seen, 3)
         return flags
+
+    @property
+    def seen(self) -> Flags:
+        """Flag the poses (P,) in which any IMU was heard: of the others nothing is known."""
+        return np.asarray(np.any([view.poses.known for view in self.views], axis=0))
 
     def rows(self) -> list[Rows]:
         return [
@@ -211,7 +217,8 @@ class _Problem:
         start, stop = np.array(moves).T
         graph = coo_array((np.ones(len(moves)), (start, stop)), shape=(P, P))
         labels = connected_components(graph, directed=False)[1]
-        return [int(root) for root in np.unique(labels, return_index=True)[1]]
+        first = np.unique(labels, return_index=True)[1]
+        return [int(root) for root in first if self.seen[root]]
 
     def moved(self, step: Matrix) -> '_Problem':
         full = np.zeros(len(self.free))

@@ -11,6 +11,7 @@ from rig_runs import bare_rig, calibrated, recorded, scaled, true_mountings, tur
 from multiimu_ros.errors import CalibrationError, ConfigError
 from multiimu_ros.rig_calibration.board import Board
 from multiimu_ros.rig_calibration.calibrate import calibrate_rig, spread, STAGES
+from multiimu_ros.samples import ImuSamples
 
 BLOCKS = {
     'time': {'time_offset', 'time_offset_sigma'},
@@ -128,3 +129,35 @@ def test_two_recordings_of_a_real_board_agree_with_each_other_and_with_its_drawi
         assert np.rad2deg(np.linalg.norm(turn_between(one.R, other.R))) < 0.05
     crossed = Board(first.after, second.board.tracks)
     assert spread(crossed, second.intervals) < 10e-3
+
+
+def test_noise_of_a_longer_record_stays_unless_noise_alone_is_asked_for():
+    recording = recorded(0)
+    rig = calibrated(0).after
+    quiet = rig.imus[0].noise.noise_density.model_copy(update={'gyroscope': (1e-5,) * 3})
+    noise = rig.imus[0].noise.model_copy(update={'noise_density': quiet})
+    allan = {'noise': noise, 'provenance': {'noise': {'bag': 'a long rest'}}}
+    known = rig.model_copy(update={'imus': (rig.imus[0].model_copy(update=allan), *rig.imus[1:])})
+    found = calibrate_rig(known, recording.raw, stages=['noise', 'time']).after
+    assert found.imus[0].noise == noise
+    assert found.imus[1].noise == rig.imus[1].noise  # from the same rests
+    alone = calibrate_rig(known, recording.raw, stages=['noise']).after
+    assert alone.imus[0].noise.noise_density.gyroscope[0] > 5e-5
+
+
+def test_a_gyroscope_with_an_axis_turned_round_is_refused():
+    first = recorded(0).raw[0]
+    mirrored = ImuSamples(
+        first.stamp_ns, first.angular_rate * [1.0, 1.0, -1.0], first.specific_force
+    )
+    with pytest.raises(CalibrationError, match='have the same order and signs'):
+        calibrate_rig(bare_rig(1), [mirrored], stages=['intrinsics'])
+
+
+def test_the_rests_that_an_imu_missed_are_no_unknowns_of_its_own_fit():
+    raw = recorded(0).raw[0]
+    half = raw.select(raw.stamp_ns < int(np.median(raw.stamp_ns)))
+    other = calibrate_rig(bare_rig(2), [raw, half], stages=['intrinsics'])
+    fit = other.intrinsics[1]
+    assert 0 < fit.poses.known.sum() < len(fit.poses)
+    assert np.isfinite(fit.covariance).all()
