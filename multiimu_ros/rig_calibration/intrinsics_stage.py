@@ -137,7 +137,7 @@ def fit_imu(board: Board, imu: int, intervals: StaticIntervals) -> ImuFit:
         msg = f'`{name}`: {error}'
         raise CalibrationError(msg) from error
     _refuse_scale(name, gyroscope.E)
-    _refuse_strangers(name, gyroscope.residual)
+    _refuse_strangers(name, gyroscope)
     view = ImuView(poses, moves, time, samples.angular_rate, samples.specific_force)
     turns, _ = preintegrate(
         time, samples.angular_rate, felt, moves, (gyroscope.E, gyroscope.bias, gyroscope.G)
@@ -164,16 +164,19 @@ def _refuse_scale(name: str, E: Matrix) -> None:
     raise CalibrationError(msg)
 
 
-def _refuse_strangers(name: str, residual: Scalars) -> None:
-    """Refuse a gyroscope whose turns have nothing to do with those of gravity."""
-    off = float(np.sqrt(np.mean(np.square(residual))))
-    if off > STRANGE:
-        msg = (
-            f'`{name}`: its rates do not carry gravity from pose to pose (off by '
-            f'{np.rad2deg(off):.0f} deg); check that the axes of gyroscope and accelerometer '
-            f'have the same order and signs, and that both were alive.'
-        )
-        raise CalibrationError(msg)
+def _refuse_strangers(name: str, gyroscope: GyroscopeModel) -> None:
+    """Refuse a gyroscope that turns another way than gravity, or about other axes.
+
+    In the mirror a turn about x stays, those about y and z change sign: the diagonal tells.
+    """
+    off = float(np.sqrt(np.mean(np.square(gyroscope.residual))))
+    if np.diag(gyroscope.E).min() > PLAUSIBLE[0] and off < STRANGE:
+        return
+    msg = (
+        f'`{name}`: its rates do not carry gravity from pose to pose; check that the axes of '
+        f'gyroscope and accelerometer have the same order and signs, and that both were alive.'
+    )
+    raise CalibrationError(msg)
 
 
 def fit_intrinsics(

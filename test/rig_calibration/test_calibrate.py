@@ -161,3 +161,12 @@ def test_the_rests_that_an_imu_missed_are_no_unknowns_of_its_own_fit():
     fit = other.intrinsics[1]
     assert 0 < fit.poses.known.sum() < len(fit.poses)
     assert np.isfinite(fit.covariance).all()
+
+
+def test_an_accelerometer_with_an_axis_turned_round_is_refused():
+    first = recorded(0).raw[0]
+    mirrored = ImuSamples(
+        first.stamp_ns, first.angular_rate, first.specific_force * [-1.0, 1.0, 1.0]
+    )
+    with pytest.raises(CalibrationError, match='have the same order and signs'):
+        calibrate_rig(bare_rig(1), [mirrored], stages=['intrinsics'])
