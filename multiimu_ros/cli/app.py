@@ -19,7 +19,7 @@ VERBS = {
     'demo': 'Eight emulated IMUs become one, live, with a table of what that gains.',
     'inspect': 'What a bag holds and what it suffices for; `--live` while recording.',
     'calibrate': 'One recording becomes a whole rig file: intrinsics, poses, clocks, with sigmas.',
-    'register': 'Rotations, lever arms and clocks alone: from a bag, a pointer, or a drawing.',
+    'register': 'Rotations, lever arms, clocks alone: from a bag, tracker, pointer or drawing.',
     'allan': 'The noise of IMUs at rest, into the rig file.',
     'fuse': 'Turn a bag of raw IMU topics into one IMU and an odometry, without ROS.',
     'emulator': 'A virtual serial port that speaks the protocol of the firmware.',

@@ -1,7 +1,7 @@
 """`multiimu register`: where the IMUs sit and how they are turned, without their intrinsics.
 
-From the bag that `calibrate` takes, or from a pointer's measurements of the boards' corners, or
-from a drawing.
+From the bag that `calibrate` takes, alone or with the poses of a tracker's target; from a
+pointer's measurements of the boards' corners; or from a drawing.
 """
 
 from pathlib import Path
@@ -11,13 +11,17 @@ import numpy as np
 import typer
 
 from multiimu_ros.arrays import Vector
-from multiimu_ros.bags import list_topics
+from multiimu_ros.bags import find_imu_topics, list_topics, read_imus
+from multiimu_ros.calibration.cleaning import clean
+from multiimu_ros.calibration.sensor_model import calibrate
 from multiimu_ros.cli.calibrate import finish, refuse_unwritable
 from multiimu_ros.cli.calibration_run import run_calibration
 from multiimu_ros.cli.options import AsJson, OptionsFile, print_json, print_table, split_names
 from multiimu_ros.errors import ConfigError
 from multiimu_ros.registration.cad import load_cad
+from multiimu_ros.registration.pose_file import load_poses
 from multiimu_ros.registration.tip import fit_tip, load_tip
+from multiimu_ros.registration.tracker import fit_tracker, TrackerFit
 from multiimu_ros.rig import Extrinsics, load_rig, Rig, save_rig
 from multiimu_ros.rig_calibration.wording import as_text, roll_pitch_yaw
 
@@ -38,6 +42,10 @@ def register(
         Path | None, typer.Option(help='Corner points by a pointer (YAML), instead of a bag.')
     ] = None,
     cad: Annotated[Path | None, typer.Option(help='Drawn poses (YAML), instead of a bag.')] = None,
+    tracker: Annotated[
+        Path | None,
+        typer.Option(help='Poses of a target on the board (CSV), beside the bag: its base frame.'),
+    ] = None,
     report: Annotated[Path | None, typer.Option(help='Folder for calibration.html.')] = None,
     as_json: AsJson = False,
     options: OptionsFile = None,  # noqa: ARG001 read by its callback
@@ -48,6 +56,13 @@ def register(
         msg = 'One of BAG, `--tip` and `--cad` must say where the IMUs are; give just one of them.'
         raise ConfigError(msg)
     refuse_unwritable(output, report)
+    if tracker is not None:
+        _refuse_lone_tracker(bag, report)
+        fits = _from_tracker(board, bag or Path(), split_names(topics), tracker)
+        placed = {name: fit.extrinsics for name, fit in fits.items()}
+        save_rig(_placed(_timed(board, fits), placed, 'tracker'), output)
+        _print(placed, [], output, as_json=as_json)
+        return
     if bag is not None:
         run = run_calibration(bag, board, list_topics(bag), split_names(topics), STAGES)
         finish(run, output, report, as_json=as_json)
@@ -58,6 +73,43 @@ def register(
     poses, warnings = _from_tip(board, tip) if tip is not None else (load_cad(cad or Path()), [])
     save_rig(_placed(board, poses, 'pointer' if tip is not None else 'drawing'), output)
     _print(poses, warnings, output, as_json=as_json)
+
+
+def _refuse_lone_tracker(bag: Path | None, report: Path | None) -> None:
+    if bag is None or report is not None:
+        msg = '`--tracker` must come with the BAG recorded meanwhile, and without `--report`.'
+        raise ConfigError(msg)
+
+
+def _from_tracker(board: Rig, bag: Path, topics: list[str], path: Path) -> dict[str, TrackerFit]:
+    """Return the pose of every IMU that was recorded, in the frame of the target."""
+    found = find_imu_topics(list_topics(bag), board.names, topics)
+    tracks = read_imus(bag, list(found.values())).tracks
+    samples = {
+        board.imus[k].name: calibrate(clean(track.samples).samples, board.imus[k].intrinsics)
+        for k, track in zip(found, tracks, strict=True)
+    }
+    return fit_tracker(load_poses(path), samples)
+
+
+def _timed(board: Rig, fits: dict[str, TrackerFit]) -> Rig:
+    """Return the rig with the IMUs' delays against the first that was recorded."""
+    first = next(iter(fits.values()))
+    zero = {imu.name: imu.time_offset for imu in board.imus}[next(iter(fits))]
+    imus = [
+        imu.model_copy(
+            update={
+                'time_offset': zero + fits[imu.name].time_offset - first.time_offset,
+                'time_offset_sigma': float(
+                    np.hypot(fits[imu.name].time_offset_sigma, first.time_offset_sigma)
+                ),
+            }
+        )
+        if imu.name in fits and fits[imu.name] is not first
+        else imu
+        for imu in board.imus
+    ]
+    return board.model_copy(update={'imus': tuple(imus)})
 
 
 def _from_tip(board: Rig, path: Path) -> tuple[dict[str, Extrinsics], list[str]]:

@@ -6,6 +6,7 @@ from calibration_bags import recorded, register, write_bag
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
+from scipy.spatial.transform import Rotation
 import yaml
 
 from multiimu_ros.errors import ConfigError, MultiImuError
@@ -127,3 +128,26 @@ def test_exactly_one_way_must_be_chosen(tmp_path, rig, bag):
 def test_a_place_that_cannot_be_written_is_refused_first(tmp_path, rig):
     with pytest.raises(ConfigError, match=r'`-o .*choose another'):
         register(tmp_path / 'none' / 'rig.yaml', tmp_path / 'no_bag', '--rig', rig)
+
+
+def test_a_tracker_gives_the_poses_on_its_target_and_the_delays(tmp_path, recording, bag, rig):
+    truth, times = recording.truth, recording.truth_ns
+    quaternions = Rotation.from_matrix(truth.R_nb).as_quat()
+    table = np.column_stack([times * 1e-9 - times[0] * 1e-9, truth.position_n, quaternions])
+    head = 'time,x,y,z,qx,qy,qz,qw'
+    np.savetxt(tmp_path / 'poses.csv', table, delimiter=',', header=head, comments='')
+    output = tmp_path / 'out.yaml'
+    register(output, bag, '--rig', rig, '--tracker', tmp_path / 'poses.csv')
+    found = load_rig(output)
+    assert rest_of(found) == rest_of(load_rig(rig))
+    for imu, true in zip(found.imus, recording.rig.imus, strict=True):
+        assert imu.provenance['extrinsics'] == 'tracker'
+        turn = imu.extrinsics.R_bs.T @ true.extrinsics.R_bs
+        assert Rotation.from_matrix(turn).magnitude() < np.deg2rad(0.05)  # docs: 0.006 deg
+        assert_allclose(imu.extrinsics.lever_arm, true.extrinsics.lever_arm, atol=5e-4)
+    assert abs(found.imus[1].time_offset - recording.rig.imus[1].time_offset) < 1e-4
+
+
+def test_a_tracker_without_a_bag_is_refused(tmp_path, rig):
+    with pytest.raises(ConfigError, match='must come with the BAG recorded meanwhile'):
+        register(tmp_path / 'o.yaml', '--rig', rig, '--tracker', 'poses.csv', '--cad', 'x')
