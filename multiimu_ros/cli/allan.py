@@ -14,7 +14,14 @@ from multiimu_ros.calibration.allan_fit import TERMS
 from multiimu_ros.calibration.noise import fit_noise, kalibr_yaml, NoiseModel, TRIADS
 from multiimu_ros.calibration.sensor_model import calibrate
 from multiimu_ros.cli.bag_facts import bag_facts, bag_sha256, temperature_span
-from multiimu_ros.cli.options import AsJson, OptionsFile, print_json, print_table, split_names
+from multiimu_ros.cli.options import (
+    AsJson,
+    make_folder,
+    OptionsFile,
+    print_json,
+    print_table,
+    split_names,
+)
 from multiimu_ros.cli.rig_start import start_rig
 from multiimu_ros.errors import ConfigError
 from multiimu_ros.report.noise_page import (
@@ -130,11 +137,7 @@ def _with_noise(board: Rig, findings: Sequence[Finding], *, bare: bool) -> Rig:
 
 
 def _write_report(folder: Path, bag: Path, findings: Sequence[Finding]) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f'Cannot make the folder `{folder}`: {error.strerror}; choose a writable place.'
-        raise ConfigError(msg) from error
+    make_folder(folder)
     sections = [
         part for f in _steps(findings, 'Drawing') for part in noise_sections(f.name, f.model)
     ]

@@ -11,7 +11,14 @@ import typer
 
 from multiimu_ros.bags import list_topics
 from multiimu_ros.cli.calibration_run import Run, run_calibration
-from multiimu_ros.cli.options import AsJson, OptionsFile, print_json, print_table, split_names
+from multiimu_ros.cli.options import (
+    AsJson,
+    make_folder,
+    OptionsFile,
+    print_json,
+    print_table,
+    split_names,
+)
 from multiimu_ros.cli.rig_start import start_rig
 from multiimu_ros.errors import ConfigError
 from multiimu_ros.rig import Rig, save_rig
@@ -168,11 +175,7 @@ def _write_report(run: Run, folder: Path) -> None:
     # Only here: matplotlib takes a second to import.
     from multiimu_ros.report.calibration_page import write_calibration_page  # noqa: PLC0415
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        msg = f'Cannot make the folder `{folder}`: {error.strerror}; choose a writable place.'
-        raise ConfigError(msg) from error
+    make_folder(folder)
     title = f'Calibration: {run.bag.resolve().name}'
     write_calibration_page(folder / 'calibration.html', run.calibration, run.verdicts, title)
 

@@ -73,6 +73,21 @@ def with_progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
             yield item
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder for a report, where there is none.
+
+    Raises
+    ------
+    ConfigError
+        If that is not possible.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f'Cannot make the folder `{folder}`: {error.strerror}; choose a writable place.'
+        raise ConfigError(msg) from error
+
+
 def print_table(title: str, rows: Sequence[Mapping[str, Cell]]) -> None:
     """Print rows of equal keys as a table."""
     table = Table(title=Text(title), title_justify='left')

@@ -7,7 +7,7 @@ repeated alone.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -77,7 +77,7 @@ class Calibration:
     lever_arms: LeverArmFit | None = None
     spread_before: float = float('nan')
     spread_after: float = float('nan')
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
 
 def calibrate_rig(

@@ -1,4 +1,4 @@
-"""Stage 4: where each IMU sits, and the base frame that all of it is told in."""
+"""Stage 5: where each IMU sits, and the base frame that all of it is told in."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

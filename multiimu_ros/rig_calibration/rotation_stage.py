@@ -1,4 +1,4 @@
-"""Stage 3: how each IMU is turned against the first.
+"""Stage 4: how each IMU is turned against the first.
 
 Gravity in the poses (thesis (6.2)) and the rate while moving (6.5) each give a rotation in closed
 form; both carry what the intrinsics left unknown, which is no noise that averages out.  So each
@@ -21,11 +21,11 @@ from multiimu_ros.registration.wahba import fit_rotation
 from multiimu_ros.rig import Imu, Intrinsics, Triad
 from multiimu_ros.rig_calibration.board import Board, pose_means
 from multiimu_ros.rig_calibration.motion import CommonMotion, MOVING
+from multiimu_ros.synchronization.delay import FREEDOM, MEDIAN_OF_THREE
 
 LEAST_POSES = 3
-THINNING = 4  # samples: the kernel of the smoothing is forgotten after that
+FORGOTTEN = 3.2  # sigmas of the smoothing's kernel between rates that count as independent
 LEAST_RATES = 50
-FREEDOM = 4.0  # of Student's t, as in `synchronization.delay`
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,7 @@ def fit_mountings(
     """
     forces = [pose_means(board.calibrated(k), intervals) for k in range(len(board.tracks))]
     rates = motion.smoothed()[:, :, :3]
+    apart = int(np.ceil(FORGOTTEN * motion.grid.sigma / motion.grid.step))
     mountings = [Mounting(np.eye(3), np.zeros((3, 3)), float('nan'))]
     for k in range(1, len(board.tracks)):
         imus = board.rig.imus[0], board.rig.imus[k]
@@ -74,7 +75,7 @@ def fit_mountings(
             fit
             for fit in (
                 _from_gravity(forces[0], forces[k], imus),
-                _from_rates(rates[:, 0], rates[:, k], imus),
+                _from_rates(rates[:, 0], rates[:, k], imus, apart),
             )
             if fit is not None
         ]
@@ -111,10 +112,10 @@ def _from_gravity(first: Vectors, own: Vectors, imus: tuple[Imu, Imu]) -> _Fit |
     return _fit(first[both], own[both], None, imus, 'accelerometer')
 
 
-def _from_rates(first: Vectors, own: Vectors, imus: tuple[Imu, Imu]) -> _Fit | None:
+def _from_rates(first: Vectors, own: Vectors, imus: tuple[Imu, Imu], apart: int) -> _Fit | None:
     known: Flags = np.asarray(np.isfinite(first).all(axis=1) & np.isfinite(own).all(axis=1))
     turning = known & (np.linalg.norm(np.where(known[:, None], first, 0.0), axis=1) > MOVING)
-    chosen = np.flatnonzero(turning)[::THINNING]
+    chosen = np.flatnonzero(turning)[::apart]
     if len(chosen) < LEAST_RATES:
         return None
     a, b = first[chosen], own[chosen]
@@ -127,7 +128,7 @@ def _from_rates(first: Vectors, own: Vectors, imus: tuple[Imu, Imu]) -> _Fit | N
 
 def _robust(square: Scalars) -> Scalars:
     """Return weights (n,) that a few bad samples, as at the end of the range, cannot dominate."""
-    scale = max(float(np.median(square)) / 2.366, 1e-300)  # chi-squared, three degrees of freedom
+    scale = max(float(np.median(square)) / MEDIAN_OF_THREE, 1e-300)
     return (FREEDOM + 3) / (FREEDOM + square / scale)
 
 

@@ -26,7 +26,7 @@ ITERATIONS = 30
 REWEIGHTED = 4  # times at least
 BLOCK_S = 1.0
 NO_SKEW = 4.0
-FREEDOM = 4.0
+FREEDOM = 4.0  # of Student's t
 MEDIAN_OF_THREE = 2.366  # of a chi-squared variable with three degrees of freedom
 
 
