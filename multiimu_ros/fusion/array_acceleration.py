@@ -1,0 +1,159 @@
+"""Angular acceleration from an array of accelerometers, joined to the slope of the fused rate.
+
+With the rate w known, what accelerometer i feels at r_i is linear in what is sought:
+
+    y_i = f_i - w x (w x r_i) = f_0 + a x r_i + noise
+
+The specific force f_0 of the base origin is eliminated: about the weighted mean of an axis, force
+and lever arm lose it, and what is left is least squares for the angular acceleration a.  The slope
+of the fused gyroscopes is one more reading of a, with its own variance; whichever knows a
+direction better is believed there.  An array in one point says nothing, two IMUs or a row nothing
+about the axis through them: there the slope alone answers.  `docs/derivations/array_geometry.md`.
+
+.. [1] I. Skog, J.-O. Nilsson, P. Handel, A. Nehorai, "Inertial sensor arrays, maximum likelihood,
+   and Cramer-Rao bound", IEEE Trans. Signal Process. 64(16), 2016.
+"""
+
+import numpy as np
+
+from multiimu_ros.arrays import Matrix, Vector, Vectors
+from multiimu_ros.compiled import compiled
+from multiimu_ros.fusion.rigid_body import lever_arm_matrix
+
+WIDEST = 1e8  # [(rad/s^2)^2] stands for no knowledge; nothing held by hand turns at 1e4 rad/s^2
+ROUNDING = 1e-13  # of the trace: information below it is what the sums are rounded by
+
+
+@compiled
+def invert(A: Matrix) -> Matrix:
+    """Return the inverse of a symmetric positive definite A (3, 3), by Cholesky's factor."""
+    c = np.zeros((3, 3))  # of the factor, the inverse
+    d0 = np.sqrt(A[0, 0])
+    l10, l20 = A[1, 0] / d0, A[2, 0] / d0
+    d1 = np.sqrt(A[1, 1] - l10 * l10)
+    l21 = (A[2, 1] - l20 * l10) / d1
+    d2 = np.sqrt(A[2, 2] - l20 * l20 - l21 * l21)
+    c[0, 0], c[1, 1], c[2, 2] = 1.0 / d0, 1.0 / d1, 1.0 / d2
+    c[1, 0] = -l10 * c[0, 0] / d1
+    c[2, 1] = -l21 * c[1, 1] / d2
+    c[2, 0] = -(l20 * c[0, 0] + l21 * c[1, 0]) / d2
+    inverse = np.zeros((3, 3))
+    for row in range(3):
+        for column in range(row + 1):
+            for k in range(row, 3):
+                inverse[row, column] += c[k, row] * c[k, column]
+            inverse[column, row] = inverse[row, column]
+    return inverse
+
+
+@compiled
+def array_information(
+    force: Vectors, R: Vectors, lever_arms_b: Vectors, L: Matrix
+) -> tuple[Vector, Matrix]:
+    """Return S (3, 3) and vector (3,) of the accelerometers about the angular acceleration.
+
+    `S @ da = vector` is the normal equation of what the acceleration behind L (`lever_arm_matrix`)
+    lacks, with f_0 eliminated.  Axis by axis, for the sensors weigh differently on each.
+    """
+    S, vector, mean = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    for axis in range(3):
+        after, last = (axis + 1) % 3, (axis + 2) % 3
+        total, mean_misfit = 0.0, 0.0
+        mean[:] = 0.0
+        for i in range(len(R)):
+            if R[i, axis] < np.inf:
+                arm, weight = lever_arms_b[i], 1.0 / R[i, axis]
+                total += weight
+                for k in range(3):
+                    mean[k] += weight * arm[k]
+                    mean_misfit -= weight * L[axis, k] * arm[k]
+                mean_misfit += weight * force[i, axis]
+        if total == 0.0:
+            continue
+        for i in range(len(R)):
+            if R[i, axis] < np.inf:
+                arm, weight = lever_arms_b[i], 1.0 / R[i, axis]
+                misfit = force[i, axis] - mean_misfit / total
+                for k in range(3):
+                    misfit -= L[axis, k] * arm[k]
+                # (a x r)[axis] = a[after] r[last] - a[last] r[after]
+                p = arm[last] - mean[last] / total
+                q = mean[after] / total - arm[after]
+                S[after, after] += weight * p * p
+                S[last, last] += weight * q * q
+                S[after, last] += weight * p * q
+                S[last, after] += weight * p * q
+                vector[after] += weight * p * misfit
+                vector[last] += weight * q * misfit
+    return vector, S
+
+
+@compiled
+def array_acceleration(
+    force: Vectors,
+    R: Vectors,
+    lever_arms_b: Vectors,
+    rate: Vector,
+    slope: Vector,
+    slope_variance: Vector,
+) -> tuple[Vector, Matrix]:
+    """Return the angular acceleration that the accelerometers and the slope of the rate tell.
+
+    Parameters
+    ----------
+    force, R : (K, 3) arrays
+        Specific forces in the base frame [m/s^2] and the variances of what does not average out
+        between them; infinite where there is no reading, whatever its force.
+    lever_arms_b : (K, 3) array
+        Sensor origins [m].
+    rate : (3,) array
+        Fused angular rate, taken as known [rad/s].
+    slope, slope_variance : (3,) arrays
+        Angular acceleration from the fused rate [rad/s^2] and its variance; infinite if unknown.
+
+    Returns
+    -------
+    (3,) array, (3, 3) array
+        Angular acceleration [rad/s^2] and covariance; about `WIDEST` where neither knows it.
+    """
+    vector, S = array_information(force, R, lever_arms_b, lever_arm_matrix(rate, slope))
+    floor = max(1.0 / WIDEST, ROUNDING * (S[0, 0] + S[1, 1] + S[2, 2]))
+    for axis in range(3):
+        S[axis, axis] += max(1.0 / slope_variance[axis], floor)
+    P = invert(S)
+    acceleration = slope.copy()
+    for row in range(3):
+        for k in range(3):
+            acceleration[row] += P[row, k] * vector[k]
+    return acceleration, P
+
+
+@compiled
+def turning_variance(shares: Vectors, lever_arms_b: Vectors, P: Matrix) -> Vector:
+    """Return what the error of the angular acceleration adds to the variance of the fused force.
+
+    Parameters
+    ----------
+    shares : (K, 3) array
+        Shares of the accelerometers in each axis of the fused force; their sum is 1 or 0.
+    lever_arms_b : (K, 3) array
+        Sensor origins [m].
+    P : (3, 3) array
+        Covariance of the angular acceleration [(rad/s^2)^2].
+
+    Returns
+    -------
+    (3,) array
+        Variance per axis [(m/s^2)^2], zero for an array that balances about the base origin.
+    """
+    added = np.zeros(3)
+    for axis in range(3):
+        after, last = (axis + 1) % 3, (axis + 2) % 3
+        p, q = 0.0, 0.0
+        for i in range(len(shares)):
+            p += shares[i, axis] * lever_arms_b[i, last]
+            q -= shares[i, axis] * lever_arms_b[i, after]
+        added[axis] = (
+            p * p * P[after, after] + 2.0 * p * q * P[after, last] + q * q * P[last, last]
+        )
+    return added
