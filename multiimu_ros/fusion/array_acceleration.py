@@ -21,7 +21,29 @@ from multiimu_ros.compiled import compiled
 from multiimu_ros.fusion.rigid_body import lever_arm_matrix
 
 WIDEST = 1e8  # [(rad/s^2)^2] stands for no knowledge; nothing held by hand turns at 1e4 rad/s^2
+HASTE = (
+    2.0 * np.pi * 3.0
+) ** 2  # [1/s^2] of w''' per a = w', in the fastest waves of a hand, 3 Hz
 ROUNDING = 1e-13  # of the trace: information below it is what the sums are rounded by
+
+
+@compiled
+def slope_variance(slope: Vector, noise: Vector, window: float) -> Vector:
+    """Return the variance (3,) of the slope of a parabola: noise, and what no parabola follows.
+
+    At the end of a window of h seconds the third derivative of the rate moves the slope by
+    h^2 w''' / 10, which beside eight good accelerometers is no longer small.
+
+    Parameters
+    ----------
+    slope, noise : (3,) arrays
+        Angular acceleration [rad/s^2] and its variance by the noise of the rate; infinite if
+        unknown.
+    window : float
+        Time that the parabola spans [s].
+    """
+    lack = 0.1 * window**2 * HASTE
+    return noise + lack * lack * (slope * slope).sum()
 
 
 @compiled
@@ -109,7 +131,8 @@ def array_acceleration(
     rate : (3,) array
         Fused angular rate, taken as known [rad/s].
     slope, slope_variance : (3,) arrays
-        Angular acceleration from the fused rate [rad/s^2] and its variance; infinite if unknown.
+        Angular acceleration from the fused rate [rad/s^2] and its variance, as of the function
+        `slope_variance`; infinite if unknown.
 
     Returns
     -------
