@@ -23,6 +23,7 @@ VERBS = {
     'allan': 'The noise of IMUs at rest, into the rig file.',
     'fuse': 'Turn a bag of raw IMU topics into one IMU and an odometry, without ROS.',
     'emulator': 'A virtual serial port that speaks the protocol of the firmware.',
+    'experiments': 'The tables and figures of the sources, rerun in simulation beside the print.',
     'bench': 'Time the filters and the nodes on this machine.',
     'doctor': 'Say why nothing arrives in a running graph.',
 }

@@ -1,0 +1,19 @@
+"""The experiments by name."""
+
+from typing import Protocol
+
+from multiimu_ros.experiments import table43
+from multiimu_ros.experiments.board import Progress
+from multiimu_ros.report.experiment_page import Result
+
+
+class Experiment(Protocol):
+    """A pure function of its seed; `progress` is told the share that is done."""
+
+    def __call__(self, seed: int, progress: Progress) -> Result:
+        """Run it."""
+
+
+EXPERIMENTS: dict[str, Experiment] = {
+    'table43': table43.run,
+}
