@@ -43,7 +43,8 @@ def slope_variance(slope: Vector, noise: Vector, window: float) -> Vector:
         Time that the parabola spans [s].
     """
     lack = 0.1 * window**2 * HASTE
-    return noise + lack * lack * (slope * slope).sum()
+    variance: Vector = noise + lack * lack * (slope * slope).sum()
+    return variance
 
 
 @compiled

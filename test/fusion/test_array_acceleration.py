@@ -116,7 +116,7 @@ def readings(rng, arms, trials, slope_sigma):
     return truth, np.array(found), np.array(covariances)
 
 
-@pytest.mark.parametrize('arms', [RING, CUBE, RING[:3] + [0.0, 0.0, 0.02], RING[:1], RING[[0, 4]]])
+@pytest.mark.parametrize('arms', [RING, CUBE, RING[:3] + 0.02, RING[:1], RING[[0, 4]]])
 def test_the_covariance_is_that_of_the_error(arms, rng):
     truth, found, P = readings(rng, arms, 2000, np.array([0.5, 1.0, 2.0]))
     error = found - truth
