@@ -49,22 +49,26 @@ def slope_variance(slope: Vector, noise: Vector, window: float) -> Vector:
 
 @compiled
 def invert(A: Matrix) -> Matrix:
-    """Return the inverse of a symmetric positive definite A (3, 3), by Cholesky's factor."""
-    c = np.zeros((3, 3))  # of the factor, the inverse
-    d0 = np.sqrt(A[0, 0])
-    l10, l20 = A[1, 0] / d0, A[2, 0] / d0
-    d1 = np.sqrt(A[1, 1] - l10 * l10)
-    l21 = (A[2, 1] - l20 * l10) / d1
-    d2 = np.sqrt(A[2, 2] - l20 * l20 - l21 * l21)
-    c[0, 0], c[1, 1], c[2, 2] = 1.0 / d0, 1.0 / d1, 1.0 / d2
-    c[1, 0] = -l10 * c[0, 0] / d1
-    c[2, 1] = -l21 * c[1, 1] / d2
-    c[2, 0] = -(l20 * c[0, 0] + l21 * c[1, 0]) / d2
-    inverse = np.zeros((3, 3))
-    for row in range(3):
+    """Return the inverse of a symmetric positive definite A (M, M), by Cholesky's factor C."""
+    size = len(A)
+    C, D = np.zeros((size, size)), np.zeros((size, size))  # A = C C', D = C^-1
+    for column in range(size):
+        for row in range(column, size):
+            rest = A[row, column]
+            for k in range(column):
+                rest -= C[row, k] * C[column, k]
+            C[row, column] = np.sqrt(rest) if row == column else rest / C[column, column]
+    for column in range(size):
+        D[column, column] = 1.0 / C[column, column]
+        for row in range(column + 1, size):
+            for k in range(column, row):
+                D[row, column] -= C[row, k] * D[k, column]
+            D[row, column] /= C[row, row]
+    inverse = np.zeros((size, size))
+    for row in range(size):
         for column in range(row + 1):
-            for k in range(row, 3):
-                inverse[row, column] += c[k, row] * c[k, column]
+            for k in range(row, size):
+                inverse[row, column] += D[k, row] * D[k, column]
             inverse[column, row] = inverse[row, column]
     return inverse
 

@@ -1,0 +1,263 @@
+"""The angular rate while gyroscopes are at their limit, bridged by the accelerometer array [1]_.
+
+A gyroscope axis at full scale says no more than that the rate is beyond it.  The accelerometers
+feel the turn all the same (`docs/derivations/array_geometry.md`):
+
+    f_i = f_0 + a x r_i + w x (w x r_i) + noise,        w_n = w_(n-1) + dt (a_(n-1) + a_n) / 2
+
+Integrating a carries the rate over the gap, the centripetal term holds the sum near the truth, and
+the axes that still measure stay as they were.  The state is (w, a), for an error of w is one of a
+where the array cannot tell them apart; f_0 is eliminated axis by axis.  Each scan is one
+least-squares problem in (w, a): its start, the prediction, decides between w and -w, which the
+accelerometers cannot.
+
+.. [1] I. Skog, J.-O. Nilsson, P. Handel, A. Nehorai, "Inertial sensor arrays, maximum likelihood,
+   and Cramer-Rao bound", IEEE Trans. Signal Process. 64(16), 2016.
+"""
+
+import numpy as np
+
+from multiimu_ros.arrays import Matrix, Vector, Vectors
+from multiimu_ros.compiled import compiled
+from multiimu_ros.fusion.array_acceleration import invert
+from multiimu_ros.fusion.rigid_body import lever_arm_matrix
+
+NEAR_LIMIT = 0.998  # of full scale; the last counts before it are not always reached
+ITERATIONS = 4  # Gauss-Newton is quadratic here, and starts within a few sigma
+ENOUGH = 1e-6  # [rad/s] a step below it ends them
+
+
+@compiled
+def saturated(values: Vectors, to_sensor: Matrix, limits: Vectors, out: Vectors) -> bool:
+    """Mark the sensor axes at full scale; say whether there is one.
+
+    Parameters
+    ----------
+    values : (K, 6) array
+        Readings in the base frame, calibrated [rad/s], [m/s^2]; NaN is no reading.
+    to_sensor : (K, 6, 7) array
+        [A | c] from there back to the raw readings, A @ values + c.
+    limits : (K, 6) array
+        Full scale of the raw axes [rad/s], [m/s^2]; infinite where unknown.
+    out : (K, 6) array
+        Becomes 1 where a raw axis is at its limit, else 0.
+    """
+    found = False
+    for i in range(len(values)):
+        for axis in range(6):
+            raw = to_sensor[i, axis, 6]
+            for k in range(6):
+                if to_sensor[i, axis, k] != 0.0:  # a missing force must not hide a rate
+                    raw += to_sensor[i, axis, k] * values[i, k]
+            out[i, axis] = 0.0
+            if abs(raw) >= NEAR_LIMIT * limits[i, axis]:
+                out[i, axis] = 1.0
+                found = True
+    return found
+
+
+@compiled
+def start_bridge(
+    rate: Vector, rate_variance: Vector, acceleration: Vector, P_acceleration: Matrix
+) -> tuple[Vector, Matrix]:
+    """Return state (6,) and covariance (6, 6) of the last scan before a gap."""
+    x, P = np.zeros(6), np.zeros((6, 6))
+    for row in range(3):
+        x[row], x[3 + row] = rate[row], acceleration[row]
+        P[row, row] = rate_variance[row]
+        for column in range(3):
+            P[3 + row, 3 + column] = P_acceleration[row, column]
+    return x, P
+
+
+@compiled
+def bridge_rate(
+    state: Vector,
+    P: Matrix,
+    dt: float,
+    acceleration_sigma: Vector,
+    gyro: Vectors,
+    gyro_R: Vectors,
+    at_limit: Vectors,
+    to_sensor: Matrix,
+    force: Vectors,
+    force_R: Vectors,
+    lever_arms_b: Vectors,
+) -> tuple[Vector, Matrix]:
+    """Return rate and angular acceleration of this scan, and their covariance.
+
+    Parameters
+    ----------
+    state, P : (6,), (6, 6) arrays
+        Rate and angular acceleration of the last scan [rad/s], [rad/s^2]: `start_bridge` or the
+        last answer.
+    dt : float
+        Time since then [s].
+    acceleration_sigma : (3,) array
+        What the motion allows, where the array does not see the angular acceleration [rad/s^2].
+    gyro : (K, 3) array
+        Rates in the base frame [rad/s], of which sensor axes may be at their limit.
+    gyro_R : (K, 3) array
+        Variances of the sensor axes [(rad/s)^2]; infinite where there is no reading.
+    at_limit, to_sensor : (K, 6), (K, 6, 7) arrays
+        What `saturated` said, and was told.
+    force, force_R, lever_arms_b : (K, 3) arrays
+        As `array_acceleration` has them.  An error that lasts for T seconds (bias, scale) counts
+        T / dt times in `force_R`: here scans add up, and it does not average out.
+
+    Returns
+    -------
+    (6,) array, (6, 6) array
+        State and covariance.
+    """
+    prior, information = _predicted(state, P, dt, acceleration_sigma)
+    x = state.copy()
+    for axis in range(3):
+        x[axis] += dt * state[3 + axis]
+    N = information.copy()
+    for _ in range(ITERATIONS):
+        N[:] = information
+        g = prior - information @ x
+        _add_gyroscopes(N, g, x, gyro, gyro_R, at_limit, to_sensor)
+        _add_forces(N, g, x, force, force_R, lever_arms_b)
+        covariance = invert(N)
+        step = covariance @ g
+        x += step
+        if np.abs(step[:3]).max() < ENOUGH:
+            break
+    _hold_beyond_limits(x, covariance, gyro, gyro_R, at_limit, to_sensor)
+    return x, covariance
+
+
+@compiled
+def _predicted(
+    state: Vector, P: Matrix, dt: float, acceleration_sigma: Vector
+) -> tuple[Vector, Matrix]:
+    """Return information vector (6,) and matrix (6, 6) of the trapezoid w - dt/2 a = u.
+
+    u = w + dt/2 a of the last scan.  The new a is known by what the motion allows alone.
+    """
+    half = 0.5 * dt
+    u, U = np.zeros(3), np.zeros((3, 3))
+    for row in range(3):
+        u[row] = state[row] + half * state[3 + row]
+        for column in range(3):
+            U[row, column] = P[row, column] + half * half * P[3 + row, 3 + column]
+            U[row, column] += half * (P[row, 3 + column] + P[3 + row, column])
+    known = invert(U)
+    vector, matrix = np.zeros(6), np.zeros((6, 6))
+    for row in range(3):
+        for column in range(3):
+            vector[row] += known[row, column] * u[column]
+            matrix[row, column] = known[row, column]
+            matrix[3 + row, column] = matrix[row, 3 + column] = -half * known[row, column]
+            matrix[3 + row, 3 + column] = half * half * known[row, column]
+    for row in range(3):
+        vector[3 + row] = -half * vector[row]
+        matrix[3 + row, 3 + row] += 1.0 / acceleration_sigma[row] ** 2
+    return vector, matrix
+
+
+@compiled
+def _add_gyroscopes(
+    N: Matrix,
+    g: Vector,
+    x: Vector,
+    gyro: Vectors,
+    gyro_R: Vectors,
+    at_limit: Vectors,
+    to_sensor: Matrix,
+) -> None:
+    """Add the raw axes that measure.
+
+    Calibration mixes the axes, so that all base axes of an IMU are wrong where one raw axis is at
+    its limit; a raw axis is not.
+    """
+    for i in range(len(gyro)):
+        for axis in range(3):
+            if at_limit[i, axis] > 0.0 or gyro_R[i, axis] == np.inf:
+                continue
+            h, weight, misfit = to_sensor[i, axis], 1.0 / gyro_R[i, axis], 0.0
+            for k in range(3):
+                misfit += h[k] * (gyro[i, k] - x[k])
+            for row in range(3):
+                g[row] += weight * h[row] * misfit
+                for column in range(3):
+                    N[row, column] += weight * h[row] * h[column]
+
+
+@compiled
+def _add_forces(
+    N: Matrix, g: Vector, x: Vector, force: Vectors, force_R: Vectors, lever_arms_b: Vectors
+) -> None:
+    """Add the accelerometers, linearised at x, with the specific force f_0 eliminated."""
+    w = x[:3]
+    L = lever_arm_matrix(w, x[3:])
+    J, arm = np.zeros(6), np.zeros(3)
+    for axis in range(3):
+        after, last = (axis + 1) % 3, (axis + 2) % 3
+        mean_arm, mean_force, total = _means(axis, force, force_R, lever_arms_b)
+        if total == 0.0:
+            continue
+        for i in range(len(force)):
+            if force_R[i, axis] == np.inf:
+                continue
+            misfit = force[i, axis] - mean_force
+            for k in range(3):
+                arm[k] = lever_arms_b[i, k] - mean_arm[k]
+                misfit -= L[axis, k] * arm[k]
+            # d (w x (w x r)) / dw = w r' + (w . r) I - 2 r w',    d (a x r) / da = -[r]x
+            for k in range(3):
+                J[k] = w[axis] * arm[k] - 2.0 * arm[axis] * w[k]
+            J[axis] += w[0] * arm[0] + w[1] * arm[1] + w[2] * arm[2]
+            J[3 + axis], J[3 + after], J[3 + last] = 0.0, arm[last], -arm[after]
+            for row in range(6):
+                g[row] += J[row] * misfit / force_R[i, axis]
+                for column in range(6):
+                    N[row, column] += J[row] * J[column] / force_R[i, axis]
+
+
+@compiled
+def _means(
+    axis: int, force: Vectors, force_R: Vectors, lever_arms_b: Vectors
+) -> tuple[Vector, float, float]:
+    """Return the weighted means of lever arm (3,) and force of an axis, and the weight."""
+    mean_arm, mean_force, total = np.zeros(3), 0.0, 0.0
+    for i in range(len(force)):
+        if force_R[i, axis] < np.inf:
+            weight = 1.0 / force_R[i, axis]
+            total += weight
+            mean_force += weight * force[i, axis]
+            for k in range(3):
+                mean_arm[k] += weight * lever_arms_b[i, k]
+    if total > 0.0:
+        mean_arm /= total
+        mean_force /= total
+    return mean_arm, mean_force, total
+
+
+@compiled
+def _hold_beyond_limits(
+    x: Vector, P: Matrix, gyro: Vectors, gyro_R: Vectors, at_limit: Vectors, to_sensor: Matrix
+) -> None:
+    """Move x beyond the readings at their limit, the nearest way in the metric of P.
+
+    The truth lies there, so no move makes its normalised distance larger: P stays honest as it
+    is, and nothing is counted twice where many axes say the same.
+    """
+    for i in range(len(gyro)):
+        for axis in range(3):
+            if at_limit[i, axis] == 0.0 or gyro_R[i, axis] == np.inf:
+                continue
+            h = to_sensor[i, axis]
+            limit, estimate, variance = 0.0, 0.0, 0.0
+            for k in range(3):
+                limit += h[k] * gyro[i, k]
+                estimate += h[k] * x[k]
+                for m in range(3):
+                    variance += h[k] * P[k, m] * h[m]
+            short = NEAR_LIMIT * limit - estimate
+            if short * limit > 0.0:  # of the same sign: not reached, or on the other side
+                for row in range(6):
+                    along = P[row, 0] * h[0] + P[row, 1] * h[1] + P[row, 2] * h[2]
+                    x[row] += short * along / variance
