@@ -1,0 +1,159 @@
+"""Each IMU's running means beside those of the others: chi-squared, and the vote on it.
+
+Readings of one triad are averaged over four memories, from one scan to seconds; the averages are
+compared with the mean of the others', weighted by information:
+
+    chi-squared = sum over axes (y_i - m_i)^2 / (V_i + (sum_{j != i} V_j^-1)^-1)            (1)
+
+Averages are linear: (1) is the average of the residual, whoever was left out of m meanwhile.
+"""
+
+import numpy as np
+
+from multiimu_ros.arrays import Vectors
+from multiimu_ros.compiled import compiled
+from multiimu_ros.fusion.fault_state import (
+    AGREES,
+    BLOCK,
+    CHI,
+    EXCLUDE,
+    INFORMATION,
+    MEAN,
+    MEMORY_S,
+    NOISE,
+    SCALES,
+    SLOW,
+    VOTER,
+    WIDTH,
+)
+
+
+@compiled
+def average(guard: Vectors, triad: int, z: Vectors, R: Vectors, slow: Vectors, dt: float) -> None:
+    """Bring the running means and their variances up to this scan."""
+    for i in range(len(guard)):
+        row = guard[i]
+        total = 0.0
+        for axis in range(3):
+            total += z[i, axis] + R[i, axis]
+        if not np.isfinite(total):
+            row[INFORMATION] = 0.0
+            continue
+        for scale in range(SCALES):
+            gain = dt / max(dt, MEMORY_S[scale])
+            keep = 1.0 - gain
+            for axis in range(3):
+                place = 3 * scale + axis
+                at = triad * BLOCK + place
+                mean = keep * row[at + MEAN] + gain * z[i, axis]
+                noise = keep * keep * row[at + NOISE] + gain * gain * R[i, axis]
+                lasting = keep * row[at + SLOW] + gain * slow[i, axis]
+                row[at + MEAN], row[at + NOISE], row[at + SLOW] = mean, noise, lasting
+                row[INFORMATION + place] = 1.0 / (noise + lasting)
+
+
+@compiled
+def is_present(guard: Vectors, i: int) -> bool:
+    """Say whether IMU i has a reading in this scan."""
+    return bool(guard[i, INFORMATION] > 0.0)
+
+
+@compiled
+def elect(guard: Vectors, triad: int) -> int:
+    """Set the worst voter aside until the rest agree; return how many do, 0 for no majority.
+
+    Those set aside win if as many of them agree with each other.
+    """
+    candidates = 0
+    for i in range(len(guard)):
+        guard[i, AGREES] = guard[i, VOTER]  # the candidates, for the time being
+        candidates += guard[i, VOTER] == 1.0
+    agree = _eliminate(guard, triad)
+    if agree == 0 or 2 * agree > candidates:
+        return agree
+    for i in range(len(guard)):
+        aside = guard[i, AGREES] - guard[i, VOTER]
+        guard[i, AGREES], guard[i, VOTER] = guard[i, VOTER], aside
+    rival = _eliminate(guard, triad)
+    for i in range(len(guard)):
+        guard[i, VOTER] = guard[i, AGREES]
+    compare(guard, triad)
+    return agree if agree > rival else 0
+
+
+@compiled
+def _eliminate(guard: Vectors, triad: int) -> int:
+    """Return how many voters are left when all agree; 0 if the last two do not."""
+    voters = 0
+    for i in range(len(guard)):
+        voters += guard[i, VOTER] == 1.0
+    while True:
+        worst = compare(guard, triad)
+        if worst < 0:
+            return voters
+        if voters == 2:
+            return 0
+        guard[worst, VOTER] = 0.0
+        voters -= 1
+
+
+@compiled
+def compare(guard: Vectors, triad: int) -> int:
+    """Compare everybody with the voters (1); return the worst voter beyond, or -1."""
+    for i in range(len(guard)):
+        for scale in range(SCALES):
+            guard[i, triad * BLOCK + CHI + scale] = np.nan
+    worst, largest = -1, EXCLUDE
+    for scale in range(SCALES):
+        for axis in range(3):
+            _add_axis(guard, triad, scale, 3 * scale + axis, axis == 0)
+        for i in range(len(guard)):
+            chi = guard[i, triad * BLOCK + CHI + scale]
+            if guard[i, VOTER] == 1.0 and chi > largest:
+                worst, largest = i, chi
+    return worst
+
+
+@compiled
+def _add_axis(guard: Vectors, triad: int, scale: int, place: int, first: bool) -> None:
+    """Add one axis at one scale to chi-squared."""
+    information, moment = voters_mean(guard, triad, place)
+    for i in range(len(guard)):
+        own = guard[i, INFORMATION + place]
+        if not is_present(guard, i):
+            continue
+        y = guard[i, triad * BLOCK + MEAN + place]
+        others, mean = information, moment
+        if guard[i, VOTER] == 1.0:
+            others, mean = information - own, moment - own * y
+        if others <= 1e-9 * information:  # nobody but itself
+            continue
+        apart = y - mean / others
+        at = triad * BLOCK + CHI + scale
+        before = 0.0 if first else guard[i, at]
+        guard[i, at] = before + apart * apart / (1.0 / own + 1.0 / others)
+
+
+@compiled
+def voters_mean(guard: Vectors, triad: int, place: int) -> tuple[float, float]:
+    """Return the sum of the voters' information, and of it times their means."""
+    information, moment = 0.0, 0.0
+    for i in range(len(guard)):
+        if guard[i, VOTER] == 1.0:
+            own = guard[i, INFORMATION + place]
+            information += own
+            moment += own * guard[i, triad * BLOCK + MEAN + place]
+    return information, moment
+
+
+@compiled
+def begin_anew(guard: Vectors, triad: int, i: int, first: int) -> None:
+    """Forget what the scales from `first` on know of IMU i.
+
+    It begins at the voters' mean, so that later averages contain its own residuals and no others.
+    """
+    for place in range(3 * first, WIDTH):
+        information, moment = voters_mean(guard, triad, place)
+        at = triad * BLOCK + place
+        guard[i, at + MEAN] = moment / information if information > 0.0 else 0.0
+        guard[i, at + NOISE] = guard[i, at + SLOW] = 0.0
