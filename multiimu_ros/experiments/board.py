@@ -118,6 +118,8 @@ def fuse(
     return fused
 
 
-def rms(values: NDArray[np.float64], axis: int | None = None) -> NDArray[np.float64]:
+def rms(
+    values: NDArray[np.float64], axis: int | tuple[int, ...] | None = None
+) -> NDArray[np.float64]:
     """Return the root mean square."""
     return np.asarray(np.sqrt(np.mean(np.square(values), axis=axis)))

@@ -9,6 +9,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 import numpy as np
 
 from multiimu_ros.arrays import Scalars
@@ -106,6 +107,7 @@ class Picture:
     caption: str
     panels: tuple[Panel | Boxes, ...]
     columns: int = 2
+    same_y: bool = False
 
 
 def draw_picture(picture: Picture) -> bytes:
@@ -114,7 +116,7 @@ def draw_picture(picture: Picture) -> bytes:
     rows = -(-len(picture.panels) // columns)
 
     def paint(figure: Figure) -> None:
-        grid = figure.subplots(rows, columns, squeeze=False).flat
+        grid = figure.subplots(rows, columns, squeeze=False, sharey=picture.same_y).flat
         for axes, panel in zip(grid, picture.panels, strict=False):
             if isinstance(panel, Panel):
                 _paint_lines(axes, panel)
@@ -167,10 +169,15 @@ def _paint_boxes(axes: Axes, panel: Boxes) -> None:
 
 
 def _scale(axes: Axes, *, log_x: bool, log_y: bool) -> None:
-    for wanted, axis, set_scale in (
-        (log_x, axes.xaxis, axes.set_xscale),
-        (log_y, axes.yaxis, axes.set_yscale),
+    """Write 0.1, 1, 10 on logarithmic axes, and where they are short 0.2 and 0.5 too."""
+    for wanted, axis, set_scale, limits in (
+        (log_x, axes.xaxis, axes.set_xscale, axes.get_xlim),
+        (log_y, axes.yaxis, axes.set_yscale, axes.get_ylim),
     ):
         if wanted:
             set_scale('log')
+            low, high = limits()
+            subs = (1.0, 2.0, 5.0) if high < 100 * low else (1.0,)
+            axis.set_major_locator(LogLocator(subs=subs))
             axis.set_major_formatter('{x:g}')
+            axis.set_minor_formatter('')

@@ -113,17 +113,18 @@ def _sections(result: Result) -> list[str]:
 
 def _table(table: Table) -> str:
     head = ''.join(f'<th>{escape(key)}</th>' for key in table.rows[0])
-    body = ''.join(
-        '<tr>' + ''.join(_cell(key, cell) for key, cell in row.items()) + '</tr>'
-        for row in table.rows
-    )
+    body = ''.join(_row(row) for row in table.rows)
     return (
         f'<p><b>{escape(table.title)}</b></p><div class="scroll"><table>'
         f'<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
     )
 
 
-def _cell(key: str, cell: Cell) -> str:
-    """Return a cell; our own numbers stand out."""
-    kind = ' class="array"' if 'ours' in key else ''
-    return f'<td{kind}>{escape(in_words(cell))}</td>'
+def _row(row: Mapping[str, Cell]) -> str:
+    """Return a row; our own numbers stand out, whether a column or the whole row is ours."""
+    cells = []
+    for key, cell in row.items():
+        ours = 'ours' in key or ('ours' in str(row.get('whose', '')) and not isinstance(cell, str))
+        kind = ' class="array"' if ours else ''
+        cells.append(f'<td{kind}>{escape(in_words(cell))}</td>')
+    return f'<tr>{"".join(cells)}</tr>'
