@@ -20,6 +20,7 @@ import numpy as np
 
 from multiimu_ros.arrays import Matrix, NANOSECONDS, Scalars, Stamps, Vector, Vectors
 from multiimu_ros.synchronization import streams as s
+from multiimu_ros.synchronization.arrivals import ArrivalCursors, Arrivals
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,12 +133,14 @@ class Synchronizer:
         )
         self._streams.table[:, s.ENABLED] = 1
         self._sample = self._streams.sample
+        self._cursors = ArrivalCursors(count)
         self.time_jumps = 0
         self.restart()
 
     def restart(self) -> None:
         """Forget all samples, keep the counters: the next stamp may be anything."""
         s.restart(self._streams)
+        self._cursors.restart()
 
     def push(self, stream: int, stamp_ns: int, values: Sequence[float] | Vector) -> Sequence[Scan]:
         """Take one reading (6 numbers, rate then force); return the scans that became due."""
@@ -156,6 +159,16 @@ class Synchronizer:
             scans.append(Scan(due_ns, values, share, gain))
             due_ns = s.advance(self._streams)
         return scans
+
+    def arrivals(self, until_ns: int | None = None) -> Arrivals:
+        """Return the samples admitted since the last call and not newer than the last scan.
+
+        `until_ns` asks for those up to an earlier scan only, where one push returned several.
+        """
+        streams = self._streams
+        last_ns = int(streams.clock[s.LAST_SCAN])
+        until_ns = last_ns if until_ns is None else min(until_ns, last_ns)
+        return self._cursors.take(streams.stamps, streams.values, streams.table, until_ns)
 
     def set_enabled(self, stream: int, enabled: bool) -> None:
         """Exclude a stream by hand, or take it back (on probation)."""
