@@ -63,7 +63,7 @@ class PrintedMaster:
         sound = np.isfinite(x).all() and (P > 0.0).all() and (b[known] > 0.0).all()
         if lost.any() or not sound:
             msg = (
-                f'The `master` mfkf_printed has diverged after {self._scans} scans, as its printed '
-                f'recursion does where sensors differ: choose `carlson`, which does not.'
+                f'The `master` mfkf_printed has diverged after {self._scans} scans, as its '
+                f'printed recursion does where sensors differ: choose `carlson`, which does not.'
             )
             raise FilterDivergedError(msg)
