@@ -101,9 +101,8 @@ def second_differences(rows: Vectors, z: Vectors, usable: Scalars | Flags) -> Ve
     first = 6 * oldest
     D = np.empty_like(z)
     for i in range(len(z)):
-        left_out = not usable[i]
         for axis in range(6):
-            reading = np.nan if left_out else z[i, axis]
+            reading = z[i, axis] if usable[i] and np.isfinite(z[i, axis]) else np.nan
             D[i, axis] = reading - 2.0 * rows[i, middle + axis] + rows[i, first + axis]
             rows[i, first + axis] = reading
     rows[0, OLDEST] = (oldest + 1) % (2 * LAG)
