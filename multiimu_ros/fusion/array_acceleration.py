@@ -185,3 +185,62 @@ def turning_variance(shares: Vectors, lever_arms_b: Vectors, P: Matrix) -> Vecto
             p * p * P[after, after] + 2.0 * p * q * P[after, last] + q * q * P[last, last]
         )
     return added
+
+
+@compiled
+def add_forces(
+    N: Matrix, g: Vector, x: Vector, force: Vectors, force_R: Vectors, lever_arms_b: Vectors
+) -> tuple[float, float]:
+    """Add what the array says of rate and angular acceleration, both unknown, to N dx = g.
+
+    Linearised at x (6,), with f_0 eliminated.  Returns the squared misfit at x, and how many
+    readings there are beyond the unknowns.
+    """
+    squares, freedom = 0.0, -6.0
+    w = x[:3]
+    L = lever_arm_matrix(w, x[3:])
+    J, arm = np.zeros(6), np.zeros(3)
+    for axis in range(3):
+        after, last = (axis + 1) % 3, (axis + 2) % 3
+        mean_arm, mean_force, total = _means(axis, force, force_R, lever_arms_b)
+        if total == 0.0:
+            continue
+        freedom -= 1.0
+        for i in range(len(force)):
+            if force_R[i, axis] == np.inf:
+                continue
+            misfit = force[i, axis] - mean_force
+            for k in range(3):
+                arm[k] = lever_arms_b[i, k] - mean_arm[k]
+                misfit -= L[axis, k] * arm[k]
+            # d (w x (w x r)) / dw = w r' + (w . r) I - 2 r w',    d (a x r) / da = -[r]x
+            for k in range(3):
+                J[k] = w[axis] * arm[k] - 2.0 * arm[axis] * w[k]
+            J[axis] += w[0] * arm[0] + w[1] * arm[1] + w[2] * arm[2]
+            J[3 + axis], J[3 + after], J[3 + last] = 0.0, arm[last], -arm[after]
+            freedom += 1.0
+            squares += misfit * misfit / force_R[i, axis]
+            for row in range(6):
+                g[row] += J[row] * misfit / force_R[i, axis]
+                for column in range(6):
+                    N[row, column] += J[row] * J[column] / force_R[i, axis]
+    return squares, freedom
+
+
+@compiled
+def _means(
+    axis: int, force: Vectors, force_R: Vectors, lever_arms_b: Vectors
+) -> tuple[Vector, float, float]:
+    """Return the weighted means of lever arm (3,) and force of an axis, and the weight."""
+    mean_arm, mean_force, total = np.zeros(3), 0.0, 0.0
+    for i in range(len(force)):
+        if force_R[i, axis] < np.inf:
+            weight = 1.0 / force_R[i, axis]
+            total += weight
+            mean_force += weight * force[i, axis]
+            for k in range(3):
+                mean_arm[k] += weight * lever_arms_b[i, k]
+    if total > 0.0:
+        mean_arm /= total
+        mean_force /= total
+    return mean_arm, mean_force, total

@@ -19,12 +19,12 @@ import numpy as np
 
 from multiimu_ros.arrays import Matrix, Vector, Vectors
 from multiimu_ros.compiled import compiled
-from multiimu_ros.fusion.array_acceleration import invert
-from multiimu_ros.fusion.rigid_body import lever_arm_matrix
+from multiimu_ros.fusion.array_acceleration import add_forces, invert
 
 NEAR_LIMIT = 0.998  # of full scale; the last counts before it are not always reached
-ITERATIONS = 4  # Gauss-Newton is quadratic here, and starts within a few sigma
-ENOUGH = 1e-6  # [rad/s] a step below it ends them
+SETTLING, ITERATIONS = 2, 20  # Gauss-Newton; the misfit is judged once it has settled
+ENOUGH = 1e-6  # sigmas squared: a step, or a rise of the misfit, below it does not count
+WALK_MEMORY = 1.0  # [s]
 
 
 @compiled
@@ -71,11 +71,36 @@ def start_bridge(
 
 
 @compiled
+def learn_walk(walk: Vector, before: Vector, now: Vector, noise: Vector, dt: float) -> None:
+    """Follow, in place, how much of the turn between two scans the trapezoid misses.
+
+    Vibration above half the scan rate shows in samples of the angular acceleration, not in the
+    rate, and grows with the motion.  So what is learnt while the gyroscopes see is a part.
+
+    Parameters
+    ----------
+    walk : (2,) array
+        Sums of squares, missed and turned, which fade [(rad/s)^2]; begin with zeros.
+    before, now : (6,) arrays
+        Rate and angular acceleration of two scans, `dt` seconds apart.
+    noise : (3,) array
+        Variance of what is missed by the noise of the four of them [(rad/s)^2].
+    """
+    walk *= max(1.0 - dt / WALK_MEMORY, 0.0)
+    for axis in range(3):
+        turned = 0.5 * dt * (before[3 + axis] + now[3 + axis])
+        missed = now[axis] - before[axis] - turned
+        walk[0] += missed * missed - noise[axis]
+        walk[1] += turned * turned
+
+
+@compiled
 def bridge_rate(
     state: Vector,
     P: Matrix,
     dt: float,
     acceleration_sigma: Vector,
+    walk: Vector,
     gyro: Vectors,
     gyro_R: Vectors,
     at_limit: Vectors,
@@ -95,6 +120,8 @@ def bridge_rate(
         Time since then [s].
     acceleration_sigma : (3,) array
         What the motion allows, where the array does not see the angular acceleration [rad/s^2].
+    walk : (2,) array
+        From `learn_walk`.
     gyro : (K, 3) array
         Rates in the base frame [rad/s], of which sensor axes may be at their limit.
     gyro_R : (K, 3) array
@@ -110,28 +137,50 @@ def bridge_rate(
     (6,) array, (6, 6) array
         State and covariance.
     """
-    prior, information = _predicted(state, P, dt, acceleration_sigma)
-    x = state.copy()
+    prior, information = _predicted(state, P, dt, acceleration_sigma, walk)
+    start = state.copy()
     for axis in range(3):
-        x[axis] += dt * state[3 + axis]
-    N = information.copy()
+        start[axis] += dt * state[3 + axis]
+    x, step, covariance = start.copy(), np.zeros(6), np.zeros((6, 6))
+    pull = prior - information @ start
+    inflation, least, settled = 1.0, np.inf, 0
     for _ in range(ITERATIONS):
-        N[:] = information
-        g = prior - information @ x
-        _add_gyroscopes(N, g, x, gyro, gyro_R, at_limit, to_sensor)
-        _add_forces(N, g, x, force, force_R, lever_arms_b)
+        moved = information @ (x - start)
+        N, g, cost = information.copy(), pull - moved, ((moved - 2.0 * pull) * (x - start)).sum()
+        cost += _add_gyroscopes(N, g, x, gyro, gyro_R, at_limit, to_sensor)
+        misfit, freedom = add_forces(N, g, x, force, force_R * inflation, lever_arms_b)
+        if cost + misfit > least + ENOUGH:  # too far: the forces are quadratic in the rate
+            step *= 0.5
+            x -= step
+            continue
+        least = cost + misfit
         covariance = invert(N)
         step = covariance @ g
         x += step
-        if np.abs(step[:3]).max() < ENOUGH:
-            break
+        settled += 1
+        if settled > SETTLING:
+            if (step * g).sum() < ENOUGH:
+                break
+            inflation, least = _inflation(inflation * misfit, freedom), np.inf
     _hold_beyond_limits(x, covariance, gyro, gyro_R, at_limit, to_sensor)
     return x, covariance
 
 
 @compiled
+def _inflation(misfit: float, freedom: float) -> float:
+    """Return by what the variance of the forces must grow to explain their squared misfit.
+
+    Stamps that differ and a board that bends leave more than the noise, and only the scan itself
+    tells how much.  What chance does, at three standard errors, is no reason.
+    """
+    if freedom < 1.0 or misfit < freedom + 3.0 * np.sqrt(2.0 * freedom):
+        return 1.0
+    return misfit / freedom
+
+
+@compiled
 def _predicted(
-    state: Vector, P: Matrix, dt: float, acceleration_sigma: Vector
+    state: Vector, P: Matrix, dt: float, acceleration_sigma: Vector, walk: Vector
 ) -> tuple[Vector, Matrix]:
     """Return information vector (6,) and matrix (6, 6) of the trapezoid w - dt/2 a = u.
 
@@ -139,11 +188,15 @@ def _predicted(
     """
     half = 0.5 * dt
     u, U = np.zeros(3), np.zeros((3, 3))
+    missed = 0.0
+    if walk[1] > 0.0:
+        missed = max(walk[0] / walk[1], 0.0) * dt * dt * (state[3:] * state[3:]).sum()
     for row in range(3):
         u[row] = state[row] + half * state[3 + row]
         for column in range(3):
             U[row, column] = P[row, column] + half * half * P[3 + row, 3 + column]
             U[row, column] += half * (P[row, 3 + column] + P[3 + row, column])
+        U[row, row] += missed
     known = invert(U)
     vector, matrix = np.zeros(6), np.zeros((6, 6))
     for row in range(3):
@@ -167,12 +220,13 @@ def _add_gyroscopes(
     gyro_R: Vectors,
     at_limit: Vectors,
     to_sensor: Matrix,
-) -> None:
-    """Add the raw axes that measure.
+) -> float:
+    """Add the raw axes that measure; return their squared misfit at x.
 
     Calibration mixes the axes, so that all base axes of an IMU are wrong where one raw axis is at
     its limit; a raw axis is not.
     """
+    squares = 0.0
     for i in range(len(gyro)):
         for axis in range(3):
             if at_limit[i, axis] > 0.0 or gyro_R[i, axis] == np.inf:
@@ -180,60 +234,12 @@ def _add_gyroscopes(
             h, weight, misfit = to_sensor[i, axis], 1.0 / gyro_R[i, axis], 0.0
             for k in range(3):
                 misfit += h[k] * (gyro[i, k] - x[k])
+            squares += weight * misfit * misfit
             for row in range(3):
                 g[row] += weight * h[row] * misfit
                 for column in range(3):
                     N[row, column] += weight * h[row] * h[column]
-
-
-@compiled
-def _add_forces(
-    N: Matrix, g: Vector, x: Vector, force: Vectors, force_R: Vectors, lever_arms_b: Vectors
-) -> None:
-    """Add the accelerometers, linearised at x, with the specific force f_0 eliminated."""
-    w = x[:3]
-    L = lever_arm_matrix(w, x[3:])
-    J, arm = np.zeros(6), np.zeros(3)
-    for axis in range(3):
-        after, last = (axis + 1) % 3, (axis + 2) % 3
-        mean_arm, mean_force, total = _means(axis, force, force_R, lever_arms_b)
-        if total == 0.0:
-            continue
-        for i in range(len(force)):
-            if force_R[i, axis] == np.inf:
-                continue
-            misfit = force[i, axis] - mean_force
-            for k in range(3):
-                arm[k] = lever_arms_b[i, k] - mean_arm[k]
-                misfit -= L[axis, k] * arm[k]
-            # d (w x (w x r)) / dw = w r' + (w . r) I - 2 r w',    d (a x r) / da = -[r]x
-            for k in range(3):
-                J[k] = w[axis] * arm[k] - 2.0 * arm[axis] * w[k]
-            J[axis] += w[0] * arm[0] + w[1] * arm[1] + w[2] * arm[2]
-            J[3 + axis], J[3 + after], J[3 + last] = 0.0, arm[last], -arm[after]
-            for row in range(6):
-                g[row] += J[row] * misfit / force_R[i, axis]
-                for column in range(6):
-                    N[row, column] += J[row] * J[column] / force_R[i, axis]
-
-
-@compiled
-def _means(
-    axis: int, force: Vectors, force_R: Vectors, lever_arms_b: Vectors
-) -> tuple[Vector, float, float]:
-    """Return the weighted means of lever arm (3,) and force of an axis, and the weight."""
-    mean_arm, mean_force, total = np.zeros(3), 0.0, 0.0
-    for i in range(len(force)):
-        if force_R[i, axis] < np.inf:
-            weight = 1.0 / force_R[i, axis]
-            total += weight
-            mean_force += weight * force[i, axis]
-            for k in range(3):
-                mean_arm[k] += weight * lever_arms_b[i, k]
-    if total > 0.0:
-        mean_arm /= total
-        mean_force /= total
-    return mean_arm, mean_force, total
+    return squares
 
 
 @compiled
