@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from multiimu_ros.experiments import static, table43, turntable
+from multiimu_ros.experiments import filters, static, table43, turntable
 from multiimu_ros.experiments.board import Progress
 from multiimu_ros.report.experiment_page import Result
 
@@ -16,6 +16,7 @@ class Experiment(Protocol):
 
 EXPERIMENTS: dict[str, Experiment] = {
     'table43': table43.run,
+    'filters': filters.run,
     'static': static.run,
     'turntable': turntable.run,
 }

@@ -136,9 +136,11 @@ def _paint_lines(axes: Axes, panel: Panel) -> None:
                   marker='o' if line.dots else '', ms=4, label=line.label or None)  # fmt: skip
     for name, (x, y) in (panel.names or {}).items():
         axes.plot([x], [y], 'o', color=COLOURS['array'], ms=5)
-        axes.annotate(name, (x, y), (5, 3), textcoords='offset points', fontsize=8)
+        axes.annotate(name, (x, y), (3, 4), textcoords='offset points', fontsize=8, rotation=40)
     axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
     axes.set_title(panel.title)
+    if panel.names:
+        axes.margins(0.12, 0.25)  # room for the names
     _scale(axes, log_x=panel.log_x, log_y=panel.log_y)
     if panel.y_limits is not None:
         axes.set_ylim(panel.y_limits)
