@@ -298,6 +298,18 @@ def test_half_the_trust_is_double_the_variance(rng):
     )
 
 
+def test_offsets_are_subtracted_from_the_readings(rng):
+    times, streams = uneven(rng, duration=0.1)
+    offsets, z = rng.standard_normal((3, 6)), rng.standard_normal((len(times), 6))
+    until_ns, shifted = START + 10**8, z + offsets[streams]
+    arrivals = arrivals_of(times, streams, shifted)
+    values, _ = filter_of().advance(arrivals, offsets, np.ones((3, 2)), until_ns)
+    expected, _ = advance(
+        filter_of(), arrivals_of(times, streams, shifted - offsets[streams]), until_ns
+    )
+    assert_allclose(values, expected, rtol=1e-12)
+
+
 def test_who_is_not_trusted_leaves_no_trace(rng):
     times, streams = uneven(rng, duration=0.1)
     z = rng.standard_normal((len(times), 6))

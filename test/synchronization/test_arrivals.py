@@ -145,6 +145,8 @@ def test_after_time_jumped_nothing_old_comes_out(by_hand):
     synchronizer = Synchronizer(1, CONFIG)
     for n in range(10):
         synchronizer.push(0, START + n * MS, reading(0, START))
+        if n < 7:
+            synchronizer.arrivals()
     back = START - 3600 * 1000 * MS
     if by_hand:
         synchronizer.restart()
