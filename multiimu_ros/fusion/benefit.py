@@ -82,8 +82,6 @@ def measure(state: Vectors, z: Vectors, fused: Vector, still: bool) -> None:
     readings[:count] = z
     readings[count] = fused
     D = second_differences(state, readings, np.full(count + 1, 1.0 if still else 0.0))
-    if not still:
-        return
     keep = 1.0 - 1.0 / MEMORY
     for i in range(count + 1):
         for triad in range(2):

@@ -152,6 +152,13 @@ def test_noise_that_grows_is_followed_within_seconds(rng):
     assert_allclose(R[1:], 1.0, atol=0.35)
 
 
+def test_readings_that_rest_on_one_step_at_first_do_not_bind_the_rest(rng):
+    readings = draw(rng, np.ones(3), 1600)
+    readings[:100] = 0.0
+    R, _ = hat.learnt_variance(learn(readings, dt=0.0))
+    assert_allclose(R, 15 / 16, atol=4 * standard_error(np.ones(3), 1500))
+
+
 def test_what_lacks_or_is_not_usable_is_left_out(rng):
     readings, usable = draw(rng, np.ones(4), 1000), np.ones((1000, 4), dtype=bool)
     readings[200:400, 1] = np.nan
