@@ -166,6 +166,15 @@ def test_systematic_resampling_draws_each_as_often_as_its_weight_says(seed):
         assert (np.abs(times - 50.0 * weight) < 1.0 + 1e-9).all()
 
 
+def test_systematic_resampling_favours_nobody(rng):
+    weights = np.array([0.25, 0.05, 0.4, 0.3])
+    clouds, starts = np.tile(np.arange(4.0), (4000, 1)), rng.random(4000)
+    drawn = resample_systematically(clouds, np.tile(weights, (4000, 1)), starts)
+    times = np.bincount(drawn.ravel().astype(int)) / 4000.0
+    # Each comes 0 or 1 times more than its floor: standard error below 0.5 / sqrt(4000) = 0.008.
+    assert_allclose(times, 4.0 * weights, atol=0.032)
+
+
 def test_effective_particles_are_all_or_one():
     alike, one = np.full(10, 0.1), np.eye(10)[3]
     assert_allclose(effective_particles(np.array([[alike, one]])), [[10.0, 1.0]], rtol=1e-12)

@@ -8,7 +8,8 @@ import pytest
 from multiimu_ros.fusion import masters
 from multiimu_ros.fusion.federated import federated_step, information_shares
 from multiimu_ros.fusion.filter_bank import filter_series, FilterBank
-from multiimu_ros.fusion.masters import FilterDivergedError, mean_weights
+from multiimu_ros.fusion.local_filters import FadingLocal
+from multiimu_ros.fusion.masters import CarlsonMaster, FilterDivergedError, mean_weights
 
 INF = np.inf
 MEANS = ['average', 'inverse_sigma', 'inverse_variance']
@@ -119,6 +120,34 @@ def test_carlson_never_claims_too_much_when_imus_come_and_go(reset, every, rng):
     nees = np.mean((x - truth) ** 2 / P, axis=1)
     assert nees.max() < 1.1
     assert nees.mean() > 0.7
+
+
+class CountingLocal(FadingLocal):
+    """The fading filter, which counts its alarms."""
+
+    def __init__(self):
+        super().__init__()
+        self.alarms = 0
+
+    def step(self, x, P, z, R, Q, expected):
+        update = super().step(x, P, z, R, Q, expected)
+        self.alarms += int((update.fading > 1.0).sum())
+        return update
+
+
+@pytest.mark.parametrize(('reset', 'every'), [('fusion', 1), ('fusion', 10), ('none', 1)])
+def test_innovations_under_carlson_are_judged_by_what_they_are_not_by_inflated_shares(
+    reset, every, rng
+):
+    R, Q = np.array([1.0, 2.0, 4.0])[:, None] * np.ones(2000), np.full(2000, 0.3)
+    _, z = walk(rng, 41, R, Q)
+    local = CountingLocal()
+    master = CarlsonMaster(local, 3, 2000, reset, every)
+    for scan in z:
+        master.step(scan, R, Q)
+    # q = 1e-3 of 40 x 6000 readings: 240, standard error 16 were they independent; those of one
+    # axis share its prediction, which at most doubles it; four of 20.
+    assert local.alarms == pytest.approx(240, abs=80)
 
 
 def error_ratios(rng, sigmas, names):
