@@ -24,6 +24,8 @@ from multiimu_ros.fusion.array_acceleration import add_forces, invert
 NEAR_LIMIT = 0.998  # of full scale; the last counts before it are not always reached
 SETTLING, ITERATIONS = 2, 20  # Gauss-Newton; the misfit is judged once it has settled
 ENOUGH = 1e-6  # sigmas squared: a step, or a rise of the misfit, below it does not count
+AGREED = 0.01  # part by which the inflation of a variance may still change
+MOTION_LASTS = 0.1  # [s] for which an angular acceleration keeps its sign: scans add up
 WALK_MEMORY = 1.0  # [s]
 
 
@@ -159,9 +161,10 @@ def bridge_rate(
         x += step
         settled += 1
         if settled > SETTLING:
-            if (step * g).sum() < ENOUGH:
+            judged = _inflation(inflation * misfit, freedom)
+            if (step * g).sum() < ENOUGH and abs(judged - inflation) < AGREED * inflation:
                 break
-            inflation, least = _inflation(inflation * misfit, freedom), np.inf
+            inflation, least = judged, np.inf
     _hold_beyond_limits(x, covariance, gyro, gyro_R, at_limit, to_sensor)
     return x, covariance
 
@@ -186,7 +189,7 @@ def _predicted(
 
     u = w + dt/2 a of the last scan.  The new a is known by what the motion allows alone.
     """
-    half = 0.5 * dt
+    half, lasting = 0.5 * dt, max(MOTION_LASTS / dt, 1.0)
     u, U = np.zeros(3), np.zeros((3, 3))
     missed = 0.0
     if walk[1] > 0.0:
@@ -207,7 +210,7 @@ def _predicted(
             matrix[3 + row, 3 + column] = half * half * known[row, column]
     for row in range(3):
         vector[3 + row] = -half * vector[row]
-        matrix[3 + row, 3 + row] += 1.0 / acceleration_sigma[row] ** 2
+        matrix[3 + row, 3 + row] += 1.0 / (acceleration_sigma[row] ** 2 * lasting)
     return vector, matrix
 
 
