@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from multiimu_ros.experiments import filters, static, table43, turntable
+from multiimu_ros.experiments import count, filters, static, table43, turntable
 from multiimu_ros.experiments.board import Progress
 from multiimu_ros.report.experiment_page import Result
 
@@ -19,4 +19,5 @@ EXPERIMENTS: dict[str, Experiment] = {
     'filters': filters.run,
     'static': static.run,
     'turntable': turntable.run,
+    'count': count.run,
 }
