@@ -21,17 +21,19 @@ WIDTH = 3 * SCALES  # three axes at each scale, scale by scale
 MEAN, NOISE, SLOW = 0, WIDTH, 2 * WIDTH
 CHI = 3 * WIDTH
 POWER = CHI + SCALES
-BLOCK = POWER + 2
+PAST = POWER + 2  # medians of the last three scans, of three axes each: in the first row only
+BLOCK = PAST + 9
 INFORMATION = 2 * BLOCK  # WIDTH columns that one call of the kernel works in
 (
     EXCLUDED, SHARE, CALM_S, HOLD_S, SINCE_S, WELL_S, DISPUTE_S,
-    COUNT, TRIAD, SCALE, VOTER, AGREES,
-) = range(INFORMATION + WIDTH, INFORMATION + WIDTH + 12)  # fmt: skip
-GUARD_COLUMNS = AGREES + 1
+    COUNT, TRIAD, SCALE, VOTER, AGREES, DOUBT_S, HELD,
+) = range(INFORMATION + WIDTH, INFORMATION + WIDTH + 14)  # fmt: skip
+GUARD_COLUMNS = HELD + 1
 
 EXCLUDE = 40.0  # chi-squared of 3: 1e-8; eight IMUs at 200 Hz draw a million of them in an hour
 SUSPECT = 20.0  # 2e-4; must stay below for the hold time before an IMU returns
 HOLD, LONGEST_HOLD = 0.5, 8.0  # [s] doubled by each relapse
+DOUBT = 0.03  # [s] one jump costs one reading; a second within this time, the IMU
 RELAPSE = 10.0  # [s] after a return; what happens later is a new fault
 
 RATE, FORCE = 0, 1
@@ -50,6 +52,7 @@ def guard_state(count: int) -> Vectors:
     guard[:, [TRIAD, SCALE]] = np.nan
     for triad in (RATE, FORCE):
         guard[:, triad * BLOCK + CHI : triad * BLOCK + POWER] = np.nan
+        guard[:, triad * BLOCK + PAST : (triad + 1) * BLOCK] = np.nan
     return guard
 
 

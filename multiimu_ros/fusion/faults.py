@@ -18,6 +18,8 @@ from multiimu_ros.fusion.fault_state import (
     CALM_S,
     CHI,
     DISPUTE_S,
+    DOUBT,
+    DOUBT_S,
     EXCLUDE,
     exclude,
     EXCLUDED,
@@ -26,6 +28,7 @@ from multiimu_ros.fusion.fault_state import (
     FORCE,
     GUARD_COLUMNS,
     guard_state,
+    HELD,
     HOLD,
     HOLD_S,
     INFORMATION,
@@ -82,7 +85,7 @@ def judge(guard: Vectors, triad: int, z: Vectors, R: Vectors, slow: Vectors, dt:
         Time since the last scan [s].
     """
     average(guard, triad, z, R, slow, max(dt, LEAST_STEP))
-    _decide(guard, triad)
+    _decide(guard, triad, max(dt, LEAST_STEP))
     for i in range(len(guard)):
         if not is_present(guard, i):
             begin_anew(guard, triad, i, JUMP)
@@ -94,13 +97,14 @@ def judge(guard: Vectors, triad: int, z: Vectors, R: Vectors, slow: Vectors, dt:
 
 
 @compiled
-def _decide(guard: Vectors, triad: int) -> None:
+def _decide(guard: Vectors, triad: int, dt: float) -> None:
     """Find who agrees; exclude who does not, or note that nobody can say."""
     members, present = 0, 0
     for i in range(len(guard)):
         here = is_present(guard, i)
         member = here and guard[i, EXCLUDED] == 0.0
         guard[i, VOTER] = 1.0 if member else 0.0
+        guard[i, HELD] = 0.0
         members += member
         present += here
     agree = elect(guard, triad)
@@ -116,7 +120,7 @@ def _decide(guard: Vectors, triad: int) -> None:
         for i in range(len(guard)):
             beyond = guard[i, VOTER] == 0.0 and largest_chi(guard, triad, i) > EXCLUDE
             if beyond and guard[i, EXCLUDED] == 0.0:
-                exclude(guard, triad, i)
+                _condemn(guard, triad, i, dt)
         return
     for i in range(len(guard)):
         member = is_present(guard, i) and guard[i, EXCLUDED] == 0.0
@@ -126,6 +130,21 @@ def _decide(guard: Vectors, triad: int) -> None:
         if guard[i, VOTER] == 1.0 and largest_chi(guard, triad, i) > EXCLUDE:
             guard[i, DISPUTE_S] = HOLD
             guard[i, TRIAD], guard[i, SCALE] = triad, worst_scale(guard, triad, i)
+
+
+@compiled
+def _condemn(guard: Vectors, triad: int, i: int, dt: float) -> None:
+    """Exclude IMU i; but a first jump costs the reading only, as it may be a heel strike."""
+    row = guard[i]
+    if worst_scale(guard, triad, i) != JUMP or row[DOUBT_S] > 0.0:
+        exclude(guard, triad, i)
+        return
+    row[HELD], row[DOUBT_S] = 1.0, DOUBT
+    for place in range(3, WIDTH):  # as if it had read what the others do
+        information, moment = voters_mean(guard, triad, place % 3)
+        at = triad * BLOCK + MEAN
+        gain = dt / max(dt, MEMORY_S[place // 3])
+        row[at + place] -= gain * (row[at + place % 3] - moment / information)
 
 
 @compiled
@@ -162,7 +181,7 @@ def _weigh(guard: Vectors, triad: int, R: Vectors) -> None:
         _widen(guard, triad, R)
     for i in range(len(guard)):
         row = guard[i]
-        if row[EXCLUDED] == 1.0 or row[SHARE] == 0.0:
+        if row[EXCLUDED] == 1.0 or row[SHARE] == 0.0 or row[HELD] == 1.0:
             R[i] = np.inf
             continue
         trust = row[SHARE]
@@ -210,6 +229,8 @@ def _pass_time(guard: Vectors, dt: float) -> None:
         row[SINCE_S] += dt
         row[WELL_S] += dt
         row[DISPUTE_S] = max(row[DISPUTE_S] - dt, 0.0)
+        if row[HELD] == 0.0:
+            row[DOUBT_S] = max(row[DOUBT_S] - dt, 0.0)
         row[SHARE] = min(row[SHARE] + dt / RAMP, 1.0)
         if row[EXCLUDED] == 0.0:
             continue
