@@ -274,3 +274,20 @@ def test_a_walk_that_was_learnt_widens_the_prediction():
     _, calm = bridge_rate(x, P, DT, HAND, np.zeros(2), *told)
     _, rough = bridge_rate(x, P, DT, HAND, np.array([0.5, 1.0]), *told)
     assert_allclose(np.diag(rough - calm)[:3], 0.5 * DT**2 * 300.0, rtol=1e-6)  # |a|^2 = 300
+
+
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_an_estimate_short_of_a_limit_is_moved_to_it_and_no_farther(sign):
+    x, P = start_bridge(np.zeros(3), np.full(3, 1.0), np.zeros(3), np.eye(3))
+    gyro, at_limit, unread = (
+        sign * np.array([[0.0, 0.0, 10.0]]),
+        np.zeros((1, 6)),
+        np.full((1, 3), np.inf),
+    )
+    at_limit[0, 2] = 1.0
+    told = (gyro, np.full((1, 3), 1e-6), at_limit, maps(1), np.zeros((1, 3)), unread, RING[:1])
+    found, _ = bridge_rate(x, P, DT, HAND, np.zeros(2), *told)
+    assert found[2] == pytest.approx(sign * 9.98, rel=1e-12)  # 0.998 of full scale
+    assert_allclose(found[:2], 0.0, atol=1e-12)
+    x[2] = sign * 15.0
+    assert bridge_rate(x, P, DT, HAND, np.zeros(2), *told)[0][2] == pytest.approx(sign * 15.0)
