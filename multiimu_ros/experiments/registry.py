@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from multiimu_ros.experiments import count, filters, static, table43, turntable
+from multiimu_ros.experiments import asynchronous, count, filters, static, table43, turntable
 from multiimu_ros.experiments.board import Progress
 from multiimu_ros.report.experiment_page import Result
 
@@ -20,4 +20,5 @@ EXPERIMENTS: dict[str, Experiment] = {
     'static': static.run,
     'turntable': turntable.run,
     'count': count.run,
+    'asynchronous': asynchronous.run,
 }

@@ -3,7 +3,7 @@
 An experiment says what its figure shows and knows nothing of how; matplotlib stays here.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,8 +32,8 @@ class Line:
         In the units of the panel's labels; NaN leaves a gap.
     role : str
         A key of `COLOURS`; by default the curves of a panel get colours in turn.
-    dashed, dots : bool
-        Broken line; a dot at every point.
+    dashed, dots, joined : bool
+        Broken line; a dot at every point; a line between the points.
     """
 
     label: str
@@ -42,6 +42,7 @@ class Line:
     role: str = ''
     dashed: bool = False
     dots: bool = False
+    joined: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +63,8 @@ class Panel:
         Where a curve that runs away would hide the others.
     x_ticks : tuple of float
         Ticks to show, instead of matplotlib's.
+    x_names : tuple of str
+        What 0, 1, 2 ... on the x axis are, where they are no numbers.
     """
 
     title: str
@@ -73,6 +76,7 @@ class Panel:
     log_y: bool = False
     y_limits: tuple[float, float] | None = None
     x_ticks: tuple[float, ...] = ()
+    x_names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +136,7 @@ def _paint_lines(axes: Axes, panel: Panel) -> None:
     turn = iter(np.resize(np.array(IMU_COLOURS), len(panel.lines)).tolist())
     for line in panel.lines:
         colour = COLOURS[line.role] if line.role else next(turn)
-        axes.plot(line.x, line.y, color=colour, ls=DASHES if line.dashed else '-',
+        axes.plot(line.x, line.y, color=colour, ls=_dashes(line),
                   marker='o' if line.dots else '', ms=4, label=line.label or None)  # fmt: skip
     for name, (x, y) in (panel.names or {}).items():
         axes.plot([x], [y], 'o', color=COLOURS['array'], ms=5)
@@ -147,8 +151,20 @@ def _paint_lines(axes: Axes, panel: Panel) -> None:
     if panel.x_ticks:
         axes.set_xticks(panel.x_ticks, [f'{tick:g}' for tick in panel.x_ticks])
         axes.xaxis.set_minor_formatter('')
+    if panel.x_names:
+        _name_ticks(axes, range(len(panel.x_names)), panel.x_names)
     if any(line.label for line in panel.lines):
         axes.legend(fontsize=8, handlelength=1.6)
+
+
+def _dashes(line: Line) -> Any:
+    if not line.joined:
+        return ''
+    return DASHES if line.dashed else '-'
+
+
+def _name_ticks(axes: Axes, places: Sequence[int], names: Sequence[str]) -> None:
+    axes.set_xticks(places, names, fontsize=8, rotation=35, ha='right', rotation_mode='anchor')
 
 
 def _paint_boxes(axes: Axes, panel: Boxes) -> None:
@@ -163,8 +179,7 @@ def _paint_boxes(axes: Axes, panel: Boxes) -> None:
     if panel.marks:
         axes.plot([], [], 'D', color='black', ms=5, label='in the paper')
         axes.legend(fontsize=9)
-    axes.set_xticks(range(1, len(panel.values) + 1), list(panel.values), fontsize=8,
-                    rotation=35, ha='right', rotation_mode='anchor')  # fmt: skip
+    _name_ticks(axes, range(1, len(panel.values) + 1), list(panel.values))
     axes.set_title(panel.title)
     axes.set_ylabel(panel.y_label)
     _scale(axes, log_x=False, log_y=panel.log_y)
