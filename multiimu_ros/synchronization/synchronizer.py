@@ -13,7 +13,7 @@ samples give the same scans in whatever order the topics are served:
 * NaN, backward stamps and frozen readings never enter; they are counted per stream.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,7 @@ import numpy as np
 from multiimu_ros.arrays import Matrix, NANOSECONDS, Scalars, Stamps, Vector, Vectors
 from multiimu_ros.synchronization import streams as s
 from multiimu_ros.synchronization.arrivals import ArrivalCursors, Arrivals
+from multiimu_ros.synchronization.blocks import take_block
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +79,7 @@ class Scan:
     noise_gain: Scalars
 
 
+BLOCK = 1024  # readings that `push_block` takes in one compiled call, and scans at most
 NO_SCANS: tuple[Scan, ...] = ()  # what nearly every push returns
 
 
@@ -154,11 +156,39 @@ class Synchronizer:
             return NO_SCANS
         scans: list[Scan] = []
         while due_ns >= 0:
-            scan = self._streams.scan
-            values, share, gain = scan[:, :6].copy(), scan[:, 6].copy(), scan[:, 7].copy()
-            scans.append(Scan(due_ns, values, share, gain))
+            scans.append(self._scan(due_ns))
             due_ns = s.advance(self._streams)
         return scans
+
+    def _scan(self, due_ns: int) -> Scan:
+        scan = self._streams.scan
+        return Scan(due_ns, scan[:, :6].copy(), scan[:, 6].copy(), scan[:, 7].copy())
+
+    def push_block(self, ks: Stamps, stamps: Stamps, values: Vectors) -> Iterator[Scan]:
+        """Take N readings in one call; the scans are those of N calls of `push`.
+
+        Parameters
+        ----------
+        ks, stamps : (N,) int arrays
+            Stream and stamp [ns] of each reading.
+        values : (N, 6) array
+            Rate, then force.
+        """
+        count, first = len(self._streams.table), 0
+        while first < len(ks):
+            due = np.empty(BLOCK, np.int64)
+            scans = np.empty((BLOCK, count, 8))
+            last = first + BLOCK
+            rest = ks[first:last], stamps[first:last], values[first:last]
+            taken, made = take_block(self._streams, *rest, scans, due)
+            for stamp_ns, scan in zip(due[:made].tolist(), scans, strict=False):
+                yield Scan(stamp_ns, scan[:, :6], scan[:, 6], scan[:, 7])
+            first += taken
+            while (due_ns := s.advance(self._streams)) >= 0:  # there was no room left for it
+                yield self._scan(due_ns)
+            if first < min(last, len(ks)) and made < BLOCK:  # time jumps back
+                yield from self.push(int(ks[first]), int(stamps[first]), values[first])
+                first += 1
 
     def arrivals(self, until_ns: int | None = None) -> Arrivals:
         """Return the samples admitted since the last call and not newer than the last scan.

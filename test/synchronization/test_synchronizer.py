@@ -7,6 +7,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from multiimu_ros.synchronization import synchronizer as synchronizer_module
 from multiimu_ros.synchronization.synchronizer import SyncConfig, Synchronizer
 
 MS = 1_000_000
@@ -94,6 +95,34 @@ def test_scans_do_not_depend_on_the_order_in_which_topics_arrive(seed):
         assert a.stamp_ns == b.stamp_ns
         assert np.array_equal(a.values, b.values, equal_nan=True)
     assert abs(len(straight) - len(late)) <= 1  # the very last one may still be waited for
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_block_makes_the_scans_that_single_readings_make(seed):
+    rng = np.random.default_rng(seed)
+    samples = stream_of(0, 300) + stream_of(1, 300, 1 * MS) + stream_of(2, 300, 3 * MS, range(90))
+    samples = sorted(samples) + sorted(stream_of(1, 40) + stream_of(0, 40))  # time jumps back
+    for n in rng.integers(0, len(samples), 20):  # some come late, some are none
+        stamp, k, values = samples[n]
+        samples[n] = (stamp - int(rng.integers(0, 30)) * MS, k, [*values[:5], np.nan])
+    one_by_one, expected = scans_of(samples)
+    in_blocks = Synchronizer(3, CONFIG)
+    stamps, ks, values = (np.array(column) for column in zip(*samples, strict=True))
+    cut = int(rng.integers(1, len(samples)))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(synchronizer_module, 'BLOCK', int(rng.integers(1, 500)))
+        scans = [
+            scan
+            for part in (slice(0, cut), slice(cut, None))
+            for scan in in_blocks.push_block(ks[part], stamps[part], values[part])
+        ]
+    assert [scan.stamp_ns for scan in scans] == [scan.stamp_ns for scan in expected]
+    for ours, theirs in zip(scans, expected, strict=True):
+        assert np.array_equal(ours.values, theirs.values, equal_nan=True)
+        assert np.array_equal(ours.share, theirs.share)
+        assert np.array_equal(ours.noise_gain, theirs.noise_gain)
+    assert in_blocks.health() == one_by_one.health()
+    assert in_blocks.time_jumps == one_by_one.time_jumps == 1
 
 
 def test_a_silent_stream_is_absent_after_the_patience_and_stops_nothing():
