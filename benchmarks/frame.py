@@ -13,7 +13,8 @@ import numpy as np
 
 from multiimu_ros.fusion.array_fusion import ArrayFusion
 from multiimu_ros.fusion.rig_model import rig_model
-from multiimu_ros.pipeline import MOTION, Pipeline, PipelineConfig
+from multiimu_ros.pipeline import Pipeline, PipelineConfig
+from multiimu_ros.pipeline_config import MOTION
 from multiimu_ros.report.tracks import in_order
 from multiimu_ros.simulation.calibrated import calibrated_rig
 from multiimu_ros.simulation.placements import ring

@@ -7,112 +7,33 @@ that the live output and the one from a bag are the same numbers.  No ROS, no cl
 the stamps say.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import get_args, Literal
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from multiimu_ros.arrays import Vector, Vectors
+from multiimu_ros.arrays import Stamps, Vector, Vectors
 from multiimu_ros.calibration.sensor_model import affine
-from multiimu_ros.errors import ConfigError
 from multiimu_ros.fused_frame import FusedFrame, write_record
 from multiimu_ros.fusion.age import is_dated
-from multiimu_ros.fusion.array_fusion import ArrayFusion, ArrayFusionConfig, FusedImu
-from multiimu_ros.fusion.drift import Disagreement, DriftMonitor
+from multiimu_ros.fusion.array_fusion import ArrayFusion, FusedImu
+from multiimu_ros.fusion.benefit import Benefit, BenefitMeter
+from multiimu_ros.fusion.drift import DriftMonitor
 from multiimu_ros.fusion.rig_model import bias_walk_density, rig_model
 from multiimu_ros.odometry.attitude import AttitudeFilter
 from multiimu_ros.odometry.error_state import ErrorStateFilter
 from multiimu_ros.odometry.profiles import odometry_configs, PROFILES
 from multiimu_ros.odometry.rest import RestBuffer, Sample
 from multiimu_ros.odometry.zero_velocity import StillnessDetector
+from multiimu_ros.pipeline_config import ImuHealth, PipelineConfig, Rest
 from multiimu_ros.registration.transform import mounting
 from multiimu_ros.rig import Rig
-from multiimu_ros.synchronization.synchronizer import Scan, SyncConfig, Synchronizer
+from multiimu_ros.synchronization.synchronizer import Scan, Synchronizer
 
 __all__ = ['FusedFrame', 'ImuHealth', 'Pipeline', 'PipelineConfig', 'Rest']
 
-Input = Literal['raw', 'calibrated', 'registered']
-ProfileName = Literal['hand', 'foot', 'vehicle']
-Local = Literal['kf']
-Master = Literal['carlson']
-
-# How fast rate and force may change between two scans: generous, so that the fused IMU has no
-# lag; smoothing is left to the filters downstream, which know the motion.
-MOTION = {
-    'hand': ArrayFusionConfig(angular_acceleration_sigma=50.0, jerk_sigma=500.0),
-    'foot': ArrayFusionConfig(angular_acceleration_sigma=300.0, jerk_sigma=5000.0),
-    'vehicle': ArrayFusionConfig(angular_acceleration_sigma=10.0, jerk_sigma=100.0),
-}
 NO_FRAMES: tuple[FusedFrame, ...] = ()  # what nearly every push returns
+GAIN_MEMORY = 1000  # scans that the mean gain of interpolation looks back
 FIRST_STEP = 0.005  # [s] stands in for the time since a sample that was never there
-
-
-@dataclass(frozen=True, kw_only=True)
-class PipelineConfig:
-    """Settings of the chain.
-
-    Parameters
-    ----------
-    input : {'raw', 'calibrated', 'registered'}
-        What is pushed in: which stages are still to do.
-    profile : {'hand', 'foot', 'vehicle'}
-        What the rig is mounted on.
-    local, master : {'kf'}, {'carlson'}
-        Local filter and master filter of the fusion.
-    sync : SyncConfig
-        Patience and probation of the synchroniser.
-
-    Raises
-    ------
-    ConfigError
-        If a choice is unknown; names those that exist.
-    """
-
-    input: Input = 'raw'
-    profile: ProfileName = 'hand'
-    local: Local = 'kf'
-    master: Master = 'carlson'
-    sync: SyncConfig = field(default_factory=SyncConfig)
-
-    def __post_init__(self) -> None:
-        choices = {'input': Input, 'profile': ProfileName, 'local': Local, 'master': Master}
-        for name, literal in choices.items():
-            value = getattr(self, name)
-            if value not in get_args(literal):
-                known = ', '.join(f"'{choice}'" for choice in get_args(literal))
-                msg = f'`{name}` must be one of {known}, got {value!r}.'
-                raise ConfigError(msg)
-
-
-@dataclass(frozen=True)
-class ImuHealth:
-    """State and counters of one IMU, for people to read."""
-
-    name: str
-    state: str
-    rate_hz: float
-    weight: float
-    received: int
-    rejected: int
-    gaps: int
-    disagreement: Disagreement
-
-
-@dataclass(frozen=True)
-class Rest:
-    """What the gyro bias was learnt from.
-
-    Parameters
-    ----------
-    seconds : float
-        Of rest, all together [s].
-    last_ns : int
-        Stamp of the last of it [ns]; 0 where there was none.
-    """
-
-    seconds: float
-    last_ns: int
 
 
 class Pipeline:
@@ -142,7 +63,7 @@ class Pipeline:
     def _build_filters(self, now_ns: int | None) -> None:
         """Build what believes the rig file's biases as much as their age allows."""
         rig, config = self._rig, self._config
-        model = rig_model(rig, now_ns)
+        model = rig_model(rig, now_ns, config.virtual_imu)
         walk = bias_walk_density(rig)
         bias_sigma = np.sqrt(model.bias_variance.sum(axis=0)) / len(model.bias_variance)
         detector, attitude, odometry = odometry_configs(
@@ -153,8 +74,10 @@ class Pipeline:
             rate_bias_walk=walk[:3],
             force_bias_walk=walk[3:],
         )
-        self._fusion = ArrayFusion(model, MOTION[config.profile])
+        self._fusion = ArrayFusion(model, config.fusion)
         self._drift = DriftMonitor(rig, model)
+        self._meter = BenefitMeter(len(rig.imus))
+        self._noise_gain = np.ones(len(rig.imus))
         self._detector = StillnessDetector(detector)
         self._rest = RestBuffer(attitude.resting_lag)
         self._attitude = AttitudeFilter(attitude)
@@ -185,16 +108,36 @@ class Pipeline:
             return NO_FRAMES
         return [frame for scan in scans if (frame := self._step(scan)) is not None]
 
+    def push_block(self, imus: Stamps, stamps_ns: Stamps, values: Vectors) -> Iterator[FusedFrame]:
+        """Take N readings at once; yield the frames that N calls of `push` return.
+
+        Parameters
+        ----------
+        imus, stamps_ns : (N,) int arrays
+            Index and stamp of each reading [ns].
+        values : (N, 6) array
+            Angular rate [rad/s], then specific force [m/s^2].
+        """
+        scans: Iterable[Scan] = self._synchronizer.push_block(imus, stamps_ns, values)
+        if self._config.master == 'scaat':  # which asks for the samples of each scan
+            one_by_one = zip(imus.tolist(), stamps_ns.tolist(), values, strict=True)
+            scans = (scan for reading in one_by_one for scan in self._synchronizer.push(*reading))
+        for scan in scans:
+            if (frame := self._step(scan)) is not None:
+                yield frame
+
     def _step(self, scan: Scan) -> FusedFrame | None:
         if self._synchronizer.time_jumps != self._jumps:
             self._begin(scan.stamp_ns)
-        fused = self._fusion.push(scan)
+        one_by_one = self._config.master == 'scaat'
+        arrivals = self._synchronizer.arrivals(scan.stamp_ns) if one_by_one else None
+        fused = self._fusion.push(scan, arrivals)
         if fused is None:
             self.empty_scans += 1
             return None
         self._weights = fused.weights
         self.frames += 1
-        return self._navigate(fused)
+        return self._navigate(scan, fused)
 
     def _begin(self, stamp_ns: int) -> None:
         """Age the rig file to the first scan, or forget the motion where time has jumped."""
@@ -208,7 +151,7 @@ class Pipeline:
             self._build_filters(stamp_ns)
         self._jumps = self._synchronizer.time_jumps
 
-    def _navigate(self, fused: FusedImu) -> FusedFrame:
+    def _navigate(self, scan: Scan, fused: FusedImu) -> FusedFrame:
         """Move attitude and odometry on by one fused reading."""
         dt = FIRST_STEP if self._last_ns is None else (fused.stamp_ns - self._last_ns) * 1e-9
         self._last_ns = fused.stamp_ns
@@ -218,6 +161,9 @@ class Pipeline:
         still, resting = self._detector.push(
             dt, rate - attitude.gyro_bias, force - odometry.accel_bias, *densities
         )
+        self._meter.push(scan.values, fused.values, still=resting)
+        if resting:
+            self._noise_gain += (scan.noise_gain - self._noise_gain) / GAIN_MEMORY
         for sample in self._rest.push(Sample(dt, rate, force, *densities, still, resting)):
             attitude.step(sample)
             odometry.step(sample)
@@ -243,19 +189,27 @@ class Pipeline:
     def health(self) -> tuple[ImuHealth, ...]:
         """Return state and counters of every IMU."""
         streams, drift = self._synchronizer.health(), self._drift.disagreements()
-        columns = (self._rig.names, streams, self._weights, drift)
+        columns = (self._rig.names, streams, self._weights, drift, self._fusion.faults())
         return tuple(
             ImuHealth(
                 name=name,
-                state=stream.state,
+                state=_state(stream.state, fault.state),
                 rate_hz=stream.rate_hz,
                 weight=float(weight),
                 received=stream.received,
                 rejected=stream.backward + stream.invalid + stream.stuck,
                 gaps=stream.gaps,
                 disagreement=disagreement,
+                fault=fault,
             )
-            for name, stream, weight, disagreement in zip(*columns, strict=True)
+            for name, stream, weight, disagreement, fault in zip(*columns, strict=True)
+        )
+
+    def benefit(self) -> Benefit:
+        """Return the noise of the fused IMU beside that of the single ones, as rests showed it."""
+        rate_hz = np.array([stream.rate_hz for stream in self._synchronizer.health()])
+        return self._meter.benefit(
+            self._fusion.density**2 * (rate_hz * self._noise_gain)[:, np.newaxis]
         )
 
     @property
@@ -282,6 +236,11 @@ class Pipeline:
         offsets, variance = self._drift.rest_offsets()
         rest = Rest(self._rested_s, self._rested_ns)
         return offsets + common, variance + len(variance) * shared, rest
+
+
+def _state(stream: str, fault: str) -> str:
+    """Return the state of an IMU in a word: what its stream is, or what the guard thinks."""
+    return fault if stream == 'ok' and fault in ('excluded', 'ambiguous') else stream
 
 
 def _entrance(rig: Rig, config: PipelineConfig) -> Synchronizer:

@@ -111,6 +111,13 @@ class Noise(_Block):
     bias_random_walk_sigma: PerTriad | None = None
 
 
+class Range(_Block):
+    """Full scale of the raw readings: the largest that an axis can say."""
+
+    accelerometer: Annotated[FiniteFloat, Field(gt=0.0)] | None = None  # [m/s^2]
+    gyroscope: Annotated[FiniteFloat, Field(gt=0.0)] | None = None  # [rad/s]
+
+
 class Extrinsics(_Block):
     """Pose of one IMU on the rig: v_b = R_bs v_s, and the sensor's origin in the base frame."""
 
@@ -137,6 +144,7 @@ class Imu(_Block):
     frame_id: str
     model: str = ''
     serial: str = ''
+    range: Range | None = None
     intrinsics: Intrinsics | None = None
     noise: Noise | None = None
     extrinsics: Extrinsics | None = None

@@ -29,7 +29,7 @@ from multiimu_ros.cli.demo_live import (
 )
 from multiimu_ros.cli.demo_report import Outcome, write_report
 from multiimu_ros.cli.options import AsJson, print_json
-from multiimu_ros.pipeline import ProfileName
+from multiimu_ros.pipeline_config import ProfileName
 from multiimu_ros.report.comparison import ARRAY, rerun, score
 from multiimu_ros.report.recorded import read_run
 from multiimu_ros.report.scores import as_json, not_won, Row

@@ -9,7 +9,7 @@ from typing import Annotated, Any, cast
 import numpy as np
 import typer
 
-from multiimu_ros.arrays import NANOSECONDS, Vector
+from multiimu_ros.arrays import NANOSECONDS
 from multiimu_ros.bags import BagWriter, find_imu_topics, ImuRecording, list_topics, read_imus
 from multiimu_ros.bags.cdr import encode_imus, encode_odometry
 from multiimu_ros.cli.options import (
@@ -20,19 +20,14 @@ from multiimu_ros.cli.options import (
     split_names,
     with_progress,
 )
-from multiimu_ros.pipeline import (
-    FusedFrame,
-    ImuHealth,
-    Local,
-    Master,
-    Pipeline,
-    PipelineConfig,
-    ProfileName,
-)
+from multiimu_ros.fusion.benefit import Benefit
+from multiimu_ros.pipeline import FusedFrame, ImuHealth, Pipeline, PipelineConfig
+from multiimu_ros.pipeline_config import CHOICES
 from multiimu_ros.rig import load_rig, Rig
 from multiimu_ros.samples import ImuSamples
 
-BLOCK = 4096  # frames written at a time
+BLOCK = 4096  # readings fused, and frames written, at a time
+NOISES = (('rate', 1e3 * np.rad2deg(1.0), 'mdeg/s'), ('force', 1e3, 'mm/s^2'))
 COLUMNS = (
     'angular_rate',
     'angular_rate_covariance',
@@ -50,6 +45,10 @@ COLUMNS = (
 app = typer.Typer(add_completion=False)
 
 
+def _choice(name: str, what: str) -> Any:
+    return typer.Option(help=f'{what}: {", ".join(CHOICES[name])}.')
+
+
 @app.command(epilog='Example: `multiimu fuse walk/ --rig ring8.yaml -o walk_fused/`')
 def fuse(
     bag: Annotated[Path, typer.Argument(help='rosbag2 folder, .mcap or .db3 file.')],
@@ -58,16 +57,30 @@ def fuse(
     topics: Annotated[
         list[str], typer.Option(help='Topics of imu0, imu1 ...; default: `<imu>/data_raw`.')
     ] = [],  # noqa: B006 typer copies it
-    profile: Annotated[str, typer.Option(help='hand, foot or vehicle.')] = 'hand',
-    local: Annotated[str, typer.Option(help='Local filter: kf.')] = 'kf',
-    master: Annotated[str, typer.Option(help='Master filter: carlson.')] = 'carlson',
+    profile: Annotated[str, _choice('profile', 'What carries the rig')] = 'hand',
+    local: Annotated[str, _choice('local', 'Filter of each IMU')] = 'kf',
+    master: Annotated[str, _choice('master', 'What fuses the filters')] = 'carlson',
+    reset: Annotated[str, _choice('reset', 'What carlson gives back to them')] = 'fusion',
+    fuse_every: Annotated[int, typer.Option(help='Scans between two fusions of carlson.')] = 1,
+    noise: Annotated[str, _choice('noise', 'Where the weights come from')] = 'rig',
+    guard: Annotated[bool, typer.Option(help='Leave out IMUs that the others contradict.')] = True,
+    prefilter: Annotated[str, _choice('prefilter', 'Filter before fusion; it lags')] = 'none',
+    cutoff_hz: Annotated[float, typer.Option(help='Cutoff of the prefilter [Hz].')] = 40.0,
+    virtual_imu: Annotated[
+        tuple[float, float, float], typer.Option(help='Where the fused IMU sits, base frame [m].')
+    ] = (0.0, 0.0, 0.0),
     storage: Annotated[str, typer.Option(help='mcap or sqlite3.')] = 'mcap',
     as_json: AsJson = False,
     options: OptionsFile = None,  # noqa: ARG001 read by its callback
 ) -> None:
     """Fuse a bag of raw IMU topics into `imu/data` and `odom`, stamped with the measurement."""
     board = load_rig(rig)
-    pipeline = Pipeline(board, _config(profile, local, master))
+    config = PipelineConfig(  # which refuses what it does not know
+        profile=cast('Any', profile), local=cast('Any', local), master=cast('Any', master),
+        reset=cast('Any', reset), fuse_every=fuse_every, noise=cast('Any', noise), guard=guard,
+        prefilter=cast('Any', prefilter), cutoff_hz=cutoff_hz, virtual_imu=virtual_imu,
+    )  # fmt: skip
+    pipeline = Pipeline(board, config)
     names = find_imu_topics(list_topics(bag), board.names, split_names(topics))
     begin = time.perf_counter()
     recording = read_imus(bag, list(names.values()))
@@ -81,6 +94,7 @@ def fuse(
         f'real time, {summary["still_share"]:.0%} still, to {output}',
         [_row(imu) for imu in summary['imus']],
     )
+    typer.echo(_gain(pipeline.benefit()))
     for imu in summary['imus']:
         if imu['recalibrate']:
             typer.echo(f'{imu["name"]}: recalibrate it; its {imu["recalibrate"]} is off')
@@ -90,27 +104,21 @@ def _row(imu: dict[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in imu.items() if not isinstance(value, dict)}
 
 
-def _config(profile: str, local: str, master: str) -> PipelineConfig:
-    return PipelineConfig(  # which refuses a name it does not know
-        profile=cast('ProfileName', profile),
-        local=cast('Local', local),
-        master=cast('Master', master),
-    )
-
-
 def fused_frames(
     pipeline: Pipeline, recording: ImuRecording, imus: list[int]
 ) -> Iterator[FusedFrame]:
     """Push the samples in recorded order; `imus[j]` is the IMU in the rig of track j."""
-    tracks = [track.samples for track in recording.tracks]
-    readings = [zip(track.stamp_ns.tolist(), _readings(track), strict=True) for track in tracks]
-    for track in with_progress(recording.order.tolist(), len(recording.order), 'Fusing'):
-        stamp_ns, values = next(readings[track])
-        yield from pipeline.push(imus[track], stamp_ns, values)
-
-
-def _readings(samples: ImuSamples) -> Vector:
-    return np.hstack([samples.angular_rate, samples.specific_force])
+    order = recording.order
+    stamps_ns, values = np.empty(len(order), np.int64), np.empty((len(order), 6))
+    for j, track in enumerate(recording.tracks):
+        own = order == j
+        stamps_ns[own] = track.samples.stamp_ns
+        values[own] = np.hstack([track.samples.angular_rate, track.samples.specific_force])
+    streams = np.array(imus, np.int64)[order]
+    starts = range(0, len(order), BLOCK)
+    for start in with_progress(starts, len(starts), 'Fusing'):
+        part = slice(start, start + BLOCK)
+        yield from pipeline.push_block(streams[part], stamps_ns[part], values[part])
 
 
 def write_fused(frames: Iterator[FusedFrame], path: Path, rig: Rig, storage: str) -> float:
@@ -165,8 +173,23 @@ def _health(imu: ImuHealth) -> dict[str, Any]:
     """Return the state of one IMU: plain figures, and its gaps to the others under their names."""
     gaps = {name: gap._asdict() for name, gap in vars(imu.disagreement).items()}
     raised = ', '.join(name for name, gap in gaps.items() if gap['raised'])
-    figures = {key: value for key, value in vars(imu).items() if key != 'disagreement'}
+    figures = {k: v for k, v in vars(imu).items() if k not in ('disagreement', 'fault')}
+    figures |= {'exclusions': imu.fault.exclusions, 'fault': imu.fault.reason}
     return figures | {'recalibrate': raised, 'disagreement': gaps}
+
+
+def _gain(noise: Benefit) -> str:
+    """Say in a sentence what the array gains over one IMU."""
+    if np.isnan(noise.fused_noise).any():
+        return 'The gain in noise is unknown: it is measured while the rig rests.'
+    words = []
+    for k, (what, factor, unit) in enumerate(NOISES):
+        fused, single, ideal = noise.fused_noise[k], noise.best_single[k], noise.ideal[k]
+        words.append(
+            f'{what} {factor * fused:.3g} {unit}, {single / fused:.2f} x quieter than the best '
+            f'single IMU (ideal {single / ideal:.2f} x)'
+        )
+    return f'Noise at rest: {"; ".join(words)}.'
 
 
 def _summary(
@@ -181,5 +204,6 @@ def _summary(
         'duration_s': duration,
         'speed': duration / seconds,
         'still_share': still,
+        'benefit': {name: noise.tolist() for name, noise in pipeline.benefit()._asdict().items()},
         'imus': [_health(imu) for imu in pipeline.health()],
     }

@@ -20,7 +20,6 @@ T = TypeVar('T')
 Cell = str | int | float
 
 SILENT_S = 1.0  # what takes no longer needs no progress bar
-STRIDE = 2048  # items between two looks at the clock
 
 
 def _from_file(ctx: typer.Context, path: Path | None) -> None:
@@ -60,14 +59,17 @@ def split_names(texts: Sequence[str]) -> list[str]:
     return [name.strip() for text in texts for name in text.split(',') if name.strip()]
 
 
-def with_progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
-    """Yield the items; after a second, show on a terminal's stderr how many are done."""
+def with_progress(items: Iterable[T], total: int, what: str, stride: int = 1) -> Iterator[T]:
+    """Yield the items; after a second, show on a terminal's stderr how many are done.
+
+    The clock is looked at every `stride` items: often for slow ones, rarely for quick ones.
+    """
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(what, total=total, visible=False)
         begin = time.monotonic()
         for count, item in enumerate(items):
-            if count % STRIDE == 0:
+            if count % stride == 0:
                 late = time.monotonic() - begin > SILENT_S
                 progress.update(task, completed=count, visible=late)
             yield item

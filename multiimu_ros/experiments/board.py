@@ -13,7 +13,7 @@ from multiimu_ros.arrays import NANOSECONDS, Stamps, Vectors
 from multiimu_ros.calibration.sensor_model import affine
 from multiimu_ros.fusion.array_fusion import ArrayFusion, ArrayFusionConfig
 from multiimu_ros.fusion.rig_model import rig_model
-from multiimu_ros.pipeline import MOTION
+from multiimu_ros.pipeline_config import MOTION
 from multiimu_ros.registration.transform import mounting
 from multiimu_ros.rig import Rig
 from multiimu_ros.simulation.errors import draw_unit, ImuErrors, noise_block

@@ -1,25 +1,50 @@
 """Scans of K registered IMUs to one angular rate and one specific force, with honest variances.
 
-Per scan: the federated filter fuses the rates; their slope is the angular acceleration; the lever
-arms are taken out of the forces; the federated filter fuses those.
+Per scan: a filter fuses the rates; their slope and the forces give the angular acceleration; the
+lever arms are taken out of the forces; a filter fuses those; readings that the others contradict
+are left out on the way.  The default filter, Carlson's federated one, is compiled with the rest;
+the others of the sources are called between its parts.
 
-Alignment keeps the fused values where they are when an IMU leaves or returns; see `fuse_scan`.
+Alignment keeps the fused values where they are when an IMU leaves or returns; see `alignment`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Literal
 
 import numpy as np
 
-from multiimu_ros.arrays import Scalars, Vector, Vectors
-from multiimu_ros.fusion.fuse_scan import fuse_scan_door, FusionState, SUMS
+from multiimu_ros.arrays import NANOSECONDS, Scalars, Vector, Vectors
+from multiimu_ros.fusion import fuse_scan as kernels
+from multiimu_ros.fusion.faults import fault_states, FaultState
+from multiimu_ros.fusion.filter_bank import FilterBank
+from multiimu_ros.fusion.fusion_state import (
+    fresh_state,
+    GUARD,
+    LEARN,
+    PERIOD,
+    SETTINGS,
+    SUMS,
+    VARIANCE,
+)
+from multiimu_ros.fusion.local_filters import Local
+from multiimu_ros.fusion.masters import Master as BankMaster, Reset
+from multiimu_ros.fusion.prefilters import Prefilter, ScanPrefilter
 from multiimu_ros.fusion.rig_model import RigModel
-from multiimu_ros.fusion.rigid_body import HISTORY
+from multiimu_ros.fusion.scan_filters import BankScans, ScaatScans
+from multiimu_ros.fusion.three_cornered_hat import learnt_variance
+from multiimu_ros.synchronization.arrivals import Arrivals
 from multiimu_ros.synchronization.synchronizer import Scan
+
+Master = Literal[BankMaster, 'scaat']
+Noise = Literal['rig', 'learnt']
+RELEARN_NS = NANOSECONDS  # between two looks at what the noise was learnt to be
+PREFILTER_FROM = 64  # scans, until the rate is known
 
 
 @dataclass(frozen=True, kw_only=True)
 class ArrayFusionConfig:
-    """How the rig may move between two scans: the process noise of the common state.
+    """How the rig may move between two scans, and how its IMUs become one.
 
     Parameters
     ----------
@@ -27,16 +52,49 @@ class ArrayFusionConfig:
         Typical angular acceleration [rad/s^2].
     jerk_sigma : float
         Typical change of specific force [m/s^3].
+    local, master : str
+        Filter of each IMU, and what fuses them; see docs/derivations/filters.md.
+    reset : {'fusion', 'none', 'zero'}
+        What the master `carlson` gives back to the local filters.
+    fuse_every : int
+        Scans from one fusion of the master `carlson` to the next.
+    noise : {'rig', 'learnt'}
+        Whether the noise is that of the rig file, or learnt from what the IMUs differ by.
+    guard : bool
+        Whether readings that the other IMUs contradict are left out.
+    prefilter : str
+        What each IMU passes before fusion; see docs/derivations/filters.md for the lag.
+    cutoff_hz : float
+        Of the prefilter [Hz].
     """
 
     angular_acceleration_sigma: float
     jerk_sigma: float
+    local: Local = 'kf'
+    master: Master = 'carlson'
+    reset: Reset = 'fusion'
+    fuse_every: int = 1
+    noise: Noise = 'rig'
+    guard: bool = True
+    prefilter: Prefilter = 'none'
+    cutoff_hz: float = 40.0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
+        for name in ('angular_acceleration_sigma', 'jerk_sigma', 'fuse_every', 'cutoff_hz'):
+            value = getattr(self, name)
             if not value > 0:  # also catches NaN
                 msg = f'`{name}` must be positive, got {value}.'
                 raise ValueError(msg)
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether the filter is the one that is compiled with the rest."""
+        return (self.local, self.master, self.reset, self.fuse_every) == (
+            'kf',
+            'carlson',
+            'fusion',
+            1,
+        )
 
 
 @dataclass(frozen=True)
@@ -90,32 +148,50 @@ class ArrayFusion:
     model : RigModel
         Noise, uncertainty and lever arm of every IMU, in the base frame.
     config : ArrayFusionConfig
-        Process noise.
+        Process noise and filters.
     """
 
     def __init__(self, model: RigModel, config: ArrayFusionConfig) -> None:
-        self._motion = np.repeat([config.angular_acceleration_sigma, config.jerk_sigma], 3)
-        count = len(model.density)
-        self._state = FusionState(
-            np.zeros((2, 6)), np.zeros((count, 6)), np.zeros((count + 1, 9)),
-            np.zeros(HISTORY, np.int64), np.zeros((HISTORY, 3)), np.zeros(1, np.int64),
-            np.zeros(1),
-        )  # fmt: skip
-        self._memory = (*model, *self._state)
+        self._model, self._config, self._state = model, config, fresh_state(model)
+        self._settings = np.zeros(SETTINGS)
+        self._settings[:3] = config.angular_acceleration_sigma
+        self._settings[3:6] = config.jerk_sigma
+        self._settings[GUARD], self._settings[LEARN] = config.guard, config.noise == 'learnt'
+        self._memory = (*model, *self._state, self._settings)
+        self._fuse: BankScans | ScaatScans | None = None
+        tools = (model, self._state, self._settings)
+        if config.master == 'scaat':
+            self._fuse = ScaatScans(*tools)
+        elif not config.is_compiled:
+            bank = partial(
+                FilterBank, config.local, config.master, len(model.density),
+                reset=config.reset, every=config.fuse_every,
+            )  # fmt: skip
+            self._fuse = BankScans(*tools, bank)
+        self._prefilter: ScanPrefilter | None = None
         self.restart()
 
     def restart(self) -> None:
         """Forget the motion (time jumped); keep the alignment of the IMUs."""
-        self._state.fused[0] = 0.0
-        self._state.fused[1] = np.inf
-        self._state.scans[0] = 0
-        self._state.period[0] = 0.0
+        state = self._state
+        state.fused[:] = 0.0
+        state.fused[VARIANCE] = np.inf
+        state.scans[0] = 0
+        state.clock[:] = state.spread[:] = 0.0
         self.block[:] = 0.0
+        self._prefilter, self._scans, self._due_ns = None, 0, -(2**63)
+        if self._fuse is not None:
+            self._fuse.restart()
 
     @property
     def offsets(self) -> Vectors:
         """Bias of each IMU (K, 6) relative to the fused one [rad/s], [m/s^2]."""
         return self._state.offsets.copy()
+
+    @property
+    def density(self) -> Vectors:
+        """White noise (K, 6) that the weights are made of [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)]."""
+        return self._state.density.copy()
 
     @property
     def block(self) -> Vectors:
@@ -126,12 +202,45 @@ class ArrayFusion:
         """
         return self._state.tally[:, SUMS:]
 
-    def push(self, scan: Scan) -> FusedImu | None:
-        """Fuse one scan; None if no IMU can be trusted in it."""
-        out, weights = fuse_scan_door(
-            *self._memory, self._motion, scan.stamp_ns,
-            scan.values, scan.share, scan.noise_gain,
-        )  # fmt: skip
+    def faults(self) -> tuple[FaultState, ...]:
+        """Return what the guard thinks of each IMU."""
+        return fault_states(self._state.guard)
+
+    def push(self, scan: Scan, arrivals: Arrivals | None = None) -> FusedImu | None:
+        """Fuse one scan; None if no IMU can be trusted in it.
+
+        Parameters
+        ----------
+        arrivals : Arrivals, optional
+            The samples since the previous scan, which the master `scaat` takes one by one.
+        """
+        if self._config.prefilter != 'none':
+            scan = self._filtered(scan)
+        if self._fuse is None:
+            out, weights = kernels.fuse_scan_door(
+                *self._memory, scan.stamp_ns, scan.values, scan.share, scan.noise_gain
+            )
+        else:
+            out, weights = self._fuse.push(scan, arrivals)
+        if self._config.noise == 'learnt' and scan.stamp_ns >= self._due_ns:
+            self._due_ns = scan.stamp_ns + RELEARN_NS
+            self._relearn()
         if np.isnan(out[0, 0]):
             return None
         return FusedImu(scan.stamp_ns, out, weights)
+
+    def _filtered(self, scan: Scan) -> Scan:
+        self._scans += 1
+        if self._prefilter is None:
+            if self._scans < PREFILTER_FROM:
+                return scan
+            config, rate_hz = self._config, 1.0 / self._state.clock[PERIOD]
+            self._prefilter = ScanPrefilter(
+                config.prefilter, len(scan.values), cutoff_hz=config.cutoff_hz, rate_hz=rate_hz
+            )
+        return replace(scan, values=self._prefilter.push(scan.values))
+
+    def _relearn(self) -> None:
+        R, known = learnt_variance(self._state.hat)
+        density = np.sqrt(R * self._state.clock[PERIOD])
+        self._state.density[known] = density[known]

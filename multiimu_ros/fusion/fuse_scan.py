@@ -1,47 +1,167 @@
 """The compiled heart of the fusion stage: one scan in, one fused reading out.
 
-Alignment.  What two IMUs disagree on at all times is a difference of their biases.  Each IMU
-therefore carries an offset e_i, the slow mean of z_i - fused, which is subtracted before fusion.
-As sum b_i e_i = 0 the fused value is that of the plain weighted mean; but when an IMU leaves or
-returns, nothing moves, for the others already agree with it.  The common bias, which no array can
-see, is left to the rest updates of the attitude filter.
-"""
+    open_scan   time, noise, limits, faults of the rates
+    (a filter fuses the rates)
+    level       angular acceleration, lever arms out, faults of the forces
+    (a filter fuses the forces)
+    close_scan  variances, alignment
 
-from typing import NamedTuple
+`fuse_scan` is all of it with the filter that is the default; other filters are called between
+the three parts.
+"""
 
 import numpy as np
 
 from multiimu_ros.arrays import Matrix, Scalars, Stamps, Vector, Vectors
 from multiimu_ros.compiled import compiled
+from multiimu_ros.fusion.alignment import align, AT_LIMIT, CONTRADICTED
+from multiimu_ros.fusion.array_acceleration import array_acceleration, slope_variance
+from multiimu_ros.fusion.bridging import bridge_gap, note_walk
+from multiimu_ros.fusion.fault_state import EXCLUDED
+from multiimu_ros.fusion.faults import judge
 from multiimu_ros.fusion.federated import federated_step, information_shares
+from multiimu_ros.fusion.fusion_state import (
+    BEFORE,
+    BRIDGED,
+    FusionState,
+    GUARD,
+    INTERVAL,
+    LEARN,
+    PERIOD,
+    SHARE,
+    SLOPE,
+    VALUE,
+    VARIANCE,
+)
 from multiimu_ros.fusion.rig_model import RigModel
-from multiimu_ros.fusion.rigid_body import lever_arm_matrix, push_slope
+from multiimu_ros.fusion.rigid_body import lever_arm_matrix, push_slope, SLOPE_WINDOW
+from multiimu_ros.fusion.saturation import saturated
+from multiimu_ros.fusion.scan_noise import (
+    cross_variance,
+    follow_time,
+    interpolation_gain,
+    slow_variance,
+    white_noise,
+)
+from multiimu_ros.fusion.three_cornered_hat import track
 
-ALIGNMENT_TIME = 2.0  # [s] long against vibration, short against a warming sensor's drift
-STARTING_PERIOD = 0.005  # [s] believed for the first two scans only
-PERIOD_MEMORY = 64  # scans that the running mean of the period looks back
-# Columns of the tally: scans averaged into an offset, share in the last scan; then, since somebody
-# emptied them, the sums of the readings without their lever arm, and the scans that they are of.
-SCANS, SHARE, SUMS, COUNT = 0, 1, 2, 8
+LEAST_PART = 0.05  # of a sensor axis in a base axis: what is less is misalignment
 
 
-class FusionState(NamedTuple):
-    """What the fusion stage remembers between scans; arrays, changed in place."""
+@compiled
+def open_scan(
+    model: RigModel,
+    state: FusionState,
+    settings: Vector,
+    stamp: int,
+    values: Vectors,
+    share: Scalars,
+) -> tuple[Vectors, Vectors, Vectors]:
+    """Prepare a scan for the fusion of its rates.
 
-    fused: Vectors  # (2, 6): values and variance
-    offsets: Vectors  # (K, 6): e_i
-    tally: Vectors  # (K + 1, 9): see `SCANS`, `SHARE`, `SUMS`; the last row is of the fused IMU
-    stamps: Stamps  # (HISTORY,) of the fused rates, for their slope
-    rates: Vectors  # (HISTORY, 3)
-    scans: Stamps  # (1,): how many of them are valid
-    period: Scalars  # (1,): mean time between scans [s]
+    Returns
+    -------
+    z : (K, 6) array
+        Readings without their offsets.
+    R : (K, 6) array
+        Their variances; infinite where there is none, or none to be believed.
+    at_limit : (K, 6) array
+        1 where the sensor's own axis is at its limit, else 0.
+    """
+    follow_time(state, stamp)
+    R = white_noise(state, values, share)
+    z = values - state.offsets
+    at_limit = np.zeros_like(values)
+    if saturated(values, model.to_sensor, model.limits, at_limit):
+        _leave_out(model, at_limit, R)
+    if settings[GUARD] > 0.0:
+        slow = slow_variance(model, state, 0, z, state.spread)
+        judge(state.guard, 0, z[:, :3], R[:, :3], slow, state.clock[INTERVAL])
+    return z, R, at_limit
+
+
+@compiled
+def _leave_out(model: RigModel, at_limit: Vectors, R: Vectors) -> None:
+    """Believe no base axis that a sensor axis at its limit has a part in."""
+    for i in range(len(R)):
+        for sensor_axis in range(6):
+            if at_limit[i, sensor_axis] > 0.0:
+                block = 3 * (sensor_axis // 3)
+                for axis in range(3):
+                    if abs(model.R_bs[i, axis, sensor_axis - block]) > LEAST_PART:
+                        R[i, block + axis] = np.inf
+
+
+@compiled
+def level(
+    model: RigModel, state: FusionState, settings: Vector, stamp: int, z: Vectors, R: Vectors
+) -> None:
+    """Take the lever arms out of the forces in `z`; the rates are fused already."""
+    rate, P = state.fused[VALUE, :3], state.fused[VARIANCE, :3]
+    slope, gain = push_slope(state.stamps, state.rates, state.scans, stamp, rate)
+    state.spread[:] = 0.0
+    unlike = R[:, 3:] + slow_variance(model, state, 1, z, state.spread)
+    window = max(SLOPE_WINDOW, 2.0 * state.clock[PERIOD])
+    acceleration, P_a = array_acceleration(
+        z[:, 3:], unlike, model.lever_arms_b, rate, slope, slope_variance(slope, gain * P, window)
+    )
+    if state.clock[BRIDGED] == 0.0 and state.scans[0] > 2:
+        note_walk(state, P, acceleration, P_a)
+    state.fused[SLOPE, :3], state.spread[:] = acceleration, P_a
+    L = lever_arm_matrix(rate, acceleration)
+    for i in range(len(z)):
+        arm = model.lever_arms_b[i]
+        for row in range(3):
+            z[i, 3 + row] -= L[row, 0] * arm[0] + L[row, 1] * arm[1] + L[row, 2] * arm[2]
+    if settings[GUARD] > 0.0:
+        slow = slow_variance(model, state, 1, z, P_a)
+        judge(state.guard, 1, z[:, 3:], R[:, 3:], slow, state.clock[INTERVAL])
+
+
+@compiled
+def close_scan(
+    model: RigModel,
+    state: FusionState,
+    settings: Vector,
+    z: Vectors,
+    R: Vectors,
+    b: Vectors,
+    at_limit: Vectors,
+    share: Scalars,
+    noise_gain: Scalars,
+) -> tuple[Vectors, Scalars]:
+    """Return what `fuse_scan` does, and align the IMUs; the forces are fused already."""
+    out = np.zeros((4, 6))
+    out[0] = state.fused[VALUE]
+    out[1] = state.fused[VARIANCE] * interpolation_gain(b, R, noise_gain)
+    mean_arm = np.zeros(3)
+    excluded = np.zeros(len(z))
+    for i in range(len(z)):
+        if at_limit[i].any():
+            excluded[i] = AT_LIMIT
+        elif state.guard[i, EXCLUDED] > 0.0:
+            excluded[i] = CONTRADICTED
+        for row in range(3):
+            mean_arm[row] += b[i, 3 + row] * model.lever_arms_b[i, row]
+    spread = cross_variance(mean_arm, state.spread)
+    if np.isfinite(spread.sum()):  # a x r errs with the variance of the angular acceleration
+        out[1, 3:] += spread
+    if settings[LEARN] > 0.0:
+        track(state.hat, z, share, noise_gain, state.clock[INTERVAL])
+    weights = (b[:, 0] + b[:, 1] + b[:, 2]) / 3.0
+    if b.any():
+        align(model, state, z, b, share, excluded, out)
+    else:  # all are on probation: nothing to align them with
+        out[:] = np.nan
+    state.tally[: len(z), SHARE] = share
+    return out, weights
 
 
 @compiled
 def fuse_scan(
     model: RigModel,
     state: FusionState,
-    motion: Vector,
+    settings: Vector,
     stamp: int,
     values: Vectors,
     share: Scalars,
@@ -57,141 +177,38 @@ def fuse_scan(
     (K,) array
         Mean share of each IMU in the fused rate.
     """
-    dt = _follow_time(state, stamp)
-    R = _noise_of_one_scan(model.density, values, share, state.period[0])
+    z, R, at_limit = open_scan(model, state, settings, stamp, values, share)
     b = information_shares(R)
-    Q = (motion * dt) ** 2
-    z = values - state.offsets
-    known, variance = state.fused
-    rate, P = federated_step(known[:3], variance[:3], z[:, :3], R[:, :3], Q[:3], b[:, :3])
-    known[:3], variance[:3] = rate, P
-    acceleration, gain = push_slope(state.stamps, state.rates, state.scans, stamp, rate)
-    L = lever_arm_matrix(rate, acceleration)
-    mean_arm = np.zeros(3)
-    for i in range(len(z)):
-        arm = model.lever_arms_b[i]
-        for row in range(3):
-            z[i, 3 + row] -= L[row, 0] * arm[0] + L[row, 1] * arm[1] + L[row, 2] * arm[2]
-            mean_arm[row] += b[i, 3 + row] * arm[row]
-    known[3:], variance[3:] = federated_step(
-        known[3:], variance[3:], z[:, 3:], R[:, 3:], Q[3:], b[:, 3:]
-    )
-    out = np.zeros((4, 6))
-    out[0], out[1] = known, variance * _interpolation_gain(b, R, noise_gain)
-    worst = P.max()
-    # a x r errs with the variance of the angular acceleration
-    if np.isfinite(gain) and np.isfinite(worst):
-        out[1, 3:] += gain * worst * (mean_arm * mean_arm).sum()
-    weights = (b[:, 0] + b[:, 1] + b[:, 2]) / 3.0
-    if weights.any():
-        _align(model, state, z, b, dt, share, out)
-    else:  # all are on probation: nothing to align them with
-        out[:] = np.nan
-    for i in range(len(z)):
-        state.tally[i, SHARE] = share[i]
-    return out, weights
+    Q = (settings[:6] * state.clock[INTERVAL]) ** 2
+    _fuse_triad(state, z, R, Q, b, 0)
+    bridge_gap(model, state, settings, z, R, at_limit, b)
+    level(model, state, settings, stamp, z, R)
+    b[:, 3:] = information_shares(R[:, 3:])
+    _fuse_triad(state, z, R, Q, b, 3)
+    return close_scan(model, state, settings, z, R, b, at_limit, share, noise_gain)
 
 
 @compiled
-def _follow_time(state: FusionState, stamp: int) -> float:
-    """Return the time since the last scan [s], and follow the mean period."""
-    if state.scans[0] == 0:
-        return STARTING_PERIOD
-    dt = (stamp - state.stamps[-1]) * 1e-9
-    if state.period[0] == 0.0:
-        state.period[0] = dt
-    # A hole in the stream is no change of rate: it counts as ten periods at most.
-    state.period[0] += (min(dt, 10.0 * state.period[0]) - state.period[0]) / PERIOD_MEMORY
-    return float(dt)
-
-
-@compiled
-def _noise_of_one_scan(
-    density: Vectors, values: Vectors, share: Scalars, period: float
-) -> Vectors:
-    """Return R (K, 6) = density^2 / period; infinite without a reading, larger on probation."""
-    R = np.full_like(density, np.inf)
-    interval = period if period > 0.0 else STARTING_PERIOD
-    for i in range(len(R)):
-        if share[i] > 0.0 and not np.isnan(values[i, 0]):
-            R[i] = density[i] ** 2 / (interval * share[i])
-    return R
-
-
-@compiled
-def _interpolation_gain(b: Vectors, R: Vectors, noise_gain: Scalars) -> Vector:
-    """Return the variance (6,) of the weighted mean per that of the mean of samples.
-
-    Interpolation averages neighbouring samples, which lowers the variance of one scan, but not
-    the information: what it takes out of one scan it shares with the next.  So the weights keep
-    R, and only the stated variance is lowered.
-    """
-    gain = np.ones(6)
-    for axis in range(6):
-        total, lowered = 0.0, 0.0
-        for i in range(len(b)):
-            if b[i, axis] > 0.0:
-                part = b[i, axis] ** 2 * R[i, axis]
-                total += part
-                lowered += part * noise_gain[i]
-        if total > 0.0:
-            gain[axis] = lowered / total
-    return gain
-
-
-@compiled
-def _align(
-    model: RigModel,
-    state: FusionState,
-    z: Vectors,
-    b: Vectors,
-    dt: float,
-    share: Scalars,
-    out: Vectors,
+def _fuse_triad(
+    state: FusionState, z: Vectors, R: Vectors, Q: Vector, b: Vectors, first: int
 ) -> None:
-    """Move the offsets towards what each IMU shows beside the rest; add up what stays unknown.
+    """Fuse three axes with Carlson's filter."""
+    end = first + 3
+    x, P = federated_step(
+        state.fused[VALUE, first:end], state.fused[VARIANCE, first:end],
+        z[:, first:end], R[:, first:end], Q[first:end], b[:, first:end],
+    )  # fmt: skip
+    note_fused(state, first, x, P)
 
-    A disagreement in motion is partly one of scale, so it moves the offset by the part of its
-    variance that is the bias's.
-    """
-    square = out[0] ** 2
-    mean, drift = np.zeros(6), np.zeros(6)
-    for i in range(len(z)):
-        for axis in range(6):
-            if b[i, axis] > 0.0:
-                mean[axis] += b[i, axis] * z[i, axis]
-    for i in range(len(z)):
-        if np.isnan(z[i, 0]):
-            continue
-        tally = state.tally[i]
-        if share[i] == 0.0 and tally[SHARE] > 0.0:
-            tally[SCANS] = 0.0  # back from an outage, perhaps with another bias
-        tally[SCANS] += 1.0
-        gain = max(min(dt / ALIGNMENT_TIME, 1.0), 1.0 / tally[SCANS])
-        if share[i] == 1.0:
-            tally[COUNT] += 1.0
-            for axis in range(6):
-                tally[SUMS + axis] += z[i, axis] + state.offsets[i, axis]
-        for axis in range(6):
-            block = 3 * (axis // 3)
-            from_scale = 0.0
-            for other in range(block, block + 3):
-                from_scale += model.scale_variance[i, axis, other] * square[other]
-            bias = model.bias_variance[i, axis]
-            part = b[i, axis] ** 2
-            out[1, axis] += part * from_scale
-            out[2, axis] += part * bias
-            out[3, axis] += part * model.density[i, axis] ** 2
-            if bias > 0.0:
-                step = gain * bias / (bias + from_scale) * (z[i, axis] - mean[axis])
-                state.offsets[i, axis] += step
-                drift[axis] += b[i, axis] * step
-    state.offsets[:] -= drift  # IMUs of different age or scale: keep sum b_i e_i as it is
-    tally = state.tally[len(z)]
-    tally[COUNT] += 1.0
-    for axis in range(6):
-        tally[SUMS + axis] += out[0, axis]
-    out[3] = np.sqrt(out[3])
+
+@compiled
+def note_fused(state: FusionState, first: int, x: Vector, P: Vector) -> None:
+    """Keep the fused values of three axes, and how fast they change."""
+    for k in range(3):
+        change = x[k] - state.fused[VALUE, first + k]
+        state.fused[SLOPE, first + k] = change / state.clock[INTERVAL]
+        state.fused[BEFORE, first + k] = state.fused[VARIANCE, first + k]
+        state.fused[VALUE, first + k], state.fused[VARIANCE, first + k] = x[k], P[k]
 
 
 @compiled
@@ -200,20 +217,47 @@ def fuse_scan_door(
     bias_variance: Vectors,
     scale_variance: Matrix,
     lever_arms_b: Vectors,
+    response_variance: Matrix,
+    floor: Vectors,
+    delay_variance: Scalars,
+    to_sensor: Matrix,
+    limits: Vectors,
+    R_bs: Matrix,
     fused: Vectors,
     offsets: Vectors,
     tally: Vectors,
     stamps: Stamps,
     rates: Vectors,
     scans: Stamps,
-    period: Scalars,
-    motion: Vector,
+    clock: Vector,
+    learnt: Vectors,
+    guard: Vectors,
+    hat: Vectors,
+    spread: Matrix,
+    bridge: Matrix,
+    settings: Vector,
     stamp: int,
     values: Vectors,
     share: Scalars,
     noise_gain: Scalars,
 ) -> tuple[Vectors, Scalars]:
     """Call `fuse_scan` with the arrays of its tuples, which numba would study at every call."""
-    model = RigModel(density, bias_variance, scale_variance, lever_arms_b)
-    state = FusionState(fused, offsets, tally, stamps, rates, scans, period)
-    return fuse_scan(model, state, motion, stamp, values, share, noise_gain)
+    model = RigModel(
+        density, bias_variance, scale_variance, lever_arms_b, response_variance, floor,
+        delay_variance, to_sensor, limits, R_bs,
+    )  # fmt: skip
+    state = FusionState(
+        fused,
+        offsets,
+        tally,
+        stamps,
+        rates,
+        scans,
+        clock,
+        learnt,
+        guard,
+        hat,
+        spread,
+        bridge,
+    )
+    return fuse_scan(model, state, settings, stamp, values, share, noise_gain)

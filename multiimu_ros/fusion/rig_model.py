@@ -1,11 +1,14 @@
 """What the rig file says about K IMUs, as arrays in the base frame, for the fusion stage."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from multiimu_ros.arrays import Matrix, Vector, Vectors
+from multiimu_ros.arrays import Matrix, Scalars, Vector, Vectors
+from multiimu_ros.calibration.sensor_model import affine
 from multiimu_ros.fusion.age import bias_ages
+from multiimu_ros.registration.transform import mounting
 from multiimu_ros.rig import (
     Extrinsics,
     Imu,
@@ -15,8 +18,10 @@ from multiimu_ros.rig import (
     NOMINAL_NOISE,
     NOMINAL_SCALE_SIGMA,
     PerTriad,
+    Range,
     Rig,
     Triad,
+    ZERO,
 )
 
 LEAST_SIGMA = (
@@ -25,6 +30,8 @@ LEAST_SIGMA = (
 NOMINAL_ANGLE_SIGMA = 0.01  # [rad] an IMU soldered and mounted by hand, not registered
 # [rad/s per m/s^2] of cheap gyroscopes, 0.05 deg/s per g; their data sheets do not say
 NOMINAL_G_SENSITIVITY_SIGMA = 9e-5
+# [s] of stamps that nobody checked; and what interpolation leaves at the best
+NOMINAL_DELAY_SIGMA, LEAST_DELAY_SIGMA = 5e-4, 2e-5
 NOMINAL_ARM_SIGMA, DRAWN_ARM_SIGMA = 0.1, 0.005  # [m] of an unknown mounting; of a drawing
 
 
@@ -41,15 +48,34 @@ class RigModel(NamedTuple):
         Variance of each reading per squared true reading: scale, misalignment, mounting [-].
     lever_arms_b : (K, 3) array
         Sensor origins [m].
+    response_variance : (K, 6, 6) array
+        As `scale_variance`, with what the stated variances leave out; see `response_variance`.
+    floor : (K, 6) array
+        Variance of a reading beside the others that neither averages out nor depends on the
+        motion: the bias instability.
+    delay_variance : (K,) array
+        Of the instant that a stamp says [s^2].
+    to_sensor : (K, 6, 7) array
+        [A | c] of the map from a registered reading back to the raw one.
+    limits : (K, 6) array
+        Full scale of the raw reading [rad/s], [m/s^2]; infinite where the file is silent.
+    R_bs : (K, 3, 3) array
+        Mounting.
     """
 
     density: Vectors
     bias_variance: Vectors
     scale_variance: Matrix
     lever_arms_b: Vectors
+    response_variance: Matrix
+    floor: Vectors
+    delay_variance: Scalars
+    to_sensor: Matrix
+    limits: Vectors
+    R_bs: Matrix
 
 
-def rig_model(rig: Rig, now_ns: int | None = None) -> RigModel:
+def rig_model(rig: Rig, now_ns: int | None = None, point_b: Sequence[float] = ZERO) -> RigModel:
     """Collect what the fusion stage must know; blocks that are absent count as nominal.
 
     Parameters
@@ -58,6 +84,8 @@ def rig_model(rig: Rig, now_ns: int | None = None) -> RigModel:
         The rig file.
     now_ns : int, optional
         Instant to which dated biases age [ns since 1970]; by default they do not.
+    point_b : 3 numbers, optional
+        Where the virtual IMU sits, from which lever arms count [m].
     """
     density = np.sqrt(np.stack([_rotated(imu, _density(imu) ** 2) for imu in rig.imus]))
     bias_variance = np.stack([_rotated(imu, _bias_variance(imu, now_ns)) for imu in rig.imus])
@@ -65,8 +93,40 @@ def rig_model(rig: Rig, now_ns: int | None = None) -> RigModel:
         np.maximum(density, LEAST_SIGMA),
         np.maximum(bias_variance, LEAST_SIGMA**2),
         np.stack([_scale_variance(imu) for imu in rig.imus]),
-        np.stack([_extrinsics(imu).lever_arm_b for imu in rig.imus]),
+        np.stack([_extrinsics(imu).lever_arm_b for imu in rig.imus]) - np.array(point_b),
+        response_variance(rig),
+        np.stack([_rotated(imu, _instability(imu) ** 2) for imu in rig.imus]),
+        np.array([_delay_sigma(imu) ** 2 for imu in rig.imus]),
+        np.stack([_to_sensor(imu) for imu in rig.imus]),
+        np.stack([_limits(imu) for imu in rig.imus]),
+        np.stack([_extrinsics(imu).R_bs for imu in rig.imus]),
     )
+
+
+def bare_model(density: Vectors, **known: Matrix) -> RigModel:
+    """Return IMUs in one point, aligned and perfect but for white noise, and what is `known`.
+
+    Parameters
+    ----------
+    density : (K, 6) array
+        White noise [rad/s/sqrt(Hz)], [m/s^2/sqrt(Hz)].
+    known : arrays
+        Other fields of the model.
+    """
+    count = len(density)
+    perfect = RigModel(
+        density,
+        bias_variance=np.zeros((count, 6)),
+        scale_variance=np.zeros((count, 6, 6)),
+        lever_arms_b=np.zeros((count, 3)),
+        response_variance=np.zeros((count, 6, 6)),
+        floor=np.zeros((count, 6)),
+        delay_variance=np.zeros(count),
+        to_sensor=np.tile(np.eye(6, 7), (count, 1, 1)),
+        limits=np.full((count, 6), np.inf),
+        R_bs=np.tile(np.eye(3), (count, 1, 1)),
+    )
+    return perfect._replace(**known)
 
 
 def bias_walks(rig: Rig) -> Vectors:
@@ -119,6 +179,31 @@ def _walk(imu: Imu) -> Vector:
     walk = _noise(imu).bias_random_walk or NOMINAL_NOISE.bias_random_walk
     assert walk is not None  # the nominal model is complete
     return _six(walk)
+
+
+def _instability(imu: Imu) -> Vector:
+    """Return the bias instability (6,); where the file is silent, that of a data sheet."""
+    instability = _noise(imu).bias_instability or NOMINAL_NOISE.bias_instability
+    assert instability is not None  # the nominal model is complete
+    return _six(instability)
+
+
+def _delay_sigma(imu: Imu) -> float:
+    return max(imu.time_offset_sigma or NOMINAL_DELAY_SIGMA, LEAST_DELAY_SIGMA)
+
+
+def _to_sensor(imu: Imu) -> Matrix:
+    """Return [A | c] (6, 7) that undoes calibration and mounting."""
+    A, c = affine(imu.intrinsics)
+    mounted, _ = mounting(imu)
+    inverse = np.linalg.inv(A)
+    return np.column_stack([inverse @ mounted.T, -inverse @ c])
+
+
+def _limits(imu: Imu) -> Vector:
+    full_scale = Range() if imu.range is None else imu.range
+    gyroscope, accelerometer = full_scale.gyroscope, full_scale.accelerometer
+    return np.repeat([gyroscope or np.inf, accelerometer or np.inf], 3)
 
 
 def _rotated(imu: Imu, variance: Vector) -> Vector:

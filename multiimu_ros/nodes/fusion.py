@@ -30,7 +30,8 @@ from multiimu_ros.nodes.run import run
 from multiimu_ros.nodes.statuses import FusionReport
 from multiimu_ros.nodes.transform import TransformOutput
 from multiimu_ros.nodes.watch import SilenceWatch
-from multiimu_ros.pipeline import Input, Pipeline, PipelineConfig
+from multiimu_ros.pipeline import Pipeline, PipelineConfig
+from multiimu_ros.pipeline_config import Input
 from multiimu_ros.rig import save_rig
 
 PATIENCE_S = 3.0

@@ -39,7 +39,7 @@ def declare(
 
     Parameters
     ----------
-    default : bool, int, float, str or list of str
+    default : bool, int, float, str, list of str or of float
         Also says the type; an integer is accepted where it is a float.
     description : str
         One phrase for the user, with the unit in brackets.
@@ -77,13 +77,21 @@ def _typed(name: str, value: Any, default: Any) -> Any:
         return float(value)
     if isinstance(default, list):
         value = [] if value is None else value
-        if isinstance(value, Sequence) and all(isinstance(item, str) for item in value):
-            return list(value)
+        kinds = (float, int) if _is_of_floats(default) else (str,)
+        listed = isinstance(value, Sequence) and not isinstance(value, str)
+        if listed and all(type(item) in kinds for item in value):
+            return [type(default[0])(item) for item in value] if default else list(value)
     elif type(value) is type(default):
         return value
-    needed = 'a list of str' if isinstance(default, list) else f'of type {type(default).__name__}'
+    needed = f'of type {type(default).__name__}'
+    if isinstance(default, list):
+        needed = f'a list of {"float" if _is_of_floats(default) else "str"}'
     msg = f'Parameter `{name}` must be {needed}, got {value!r}; correct it where it is set.'
     raise ConfigError(msg)
+
+
+def _is_of_floats(default: list[Any]) -> bool:
+    return bool(default) and isinstance(default[0], float)
 
 
 def declare_config(node: Node, config: type[C], **fixed: Any) -> C:
@@ -105,11 +113,12 @@ def declare_config(node: Node, config: type[C], **fixed: Any) -> C:
     descriptions = _described(config.__doc__ or '')
     values = dict(fixed)
     for field in fields(config):  # type: ignore[arg-type]
-        if field.name in values or not isinstance(field.default, bool | int | float | str):
+        plain = field.default
+        if field.name in values or not isinstance(plain, bool | int | float | str | tuple):
             continue
-        values[field.name] = declare(
-            node, field.name, field.default, descriptions.get(field.name, '')
-        )
+        default = list(plain) if isinstance(plain, tuple) else plain
+        value = declare(node, field.name, default, descriptions.get(field.name, ''))
+        values[field.name] = tuple(value) if isinstance(plain, tuple) else value
     missing = [
         field.name
         for field in fields(config)  # type: ignore[arg-type]

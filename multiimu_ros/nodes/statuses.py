@@ -4,13 +4,15 @@ from collections.abc import Iterator, Sequence
 import math
 import time
 
+from multiimu_ros.fusion.benefit import Benefit
 from multiimu_ros.fusion.drift import Gap
 from multiimu_ros.nodes.diagnostics import ERROR, OK, STALE, Status, WARN
 from multiimu_ros.nodes.inputs import ImuInput
 from multiimu_ros.pipeline import ImuHealth, Pipeline
 
+NOISES = (('noise of rate', 'mdeg/s', 1e3 * math.degrees(1.0)), ('noise of force', 'mm/s^2', 1e3))
 SILENT_S = 0.5  # the pipeline knows an IMU is absent from the others; this is for when all are
-LEVELS = {'ok': OK, 'probation': WARN, 'disabled': WARN}  # all else is an error
+LEVELS = {'ok': OK, 'probation': WARN, 'disabled': WARN, 'ambiguous': WARN}  # all else is an error
 # What may drift, as people say it: of one, of two that cannot be told apart; unit, factor.
 QUANTITIES = {
     'rate': ('its rate is off by', 'their rates differ by', 'deg/s', math.degrees(1.0)),
@@ -65,8 +67,18 @@ class FusionReport:
             'empty scans': self._pipeline.empty_scans,
             'time jumps': self._pipeline.time_jumps,
             'not finite': not_finite,
+            **_benefit_figures(self._pipeline.benefit()),
         }
         return Status('fusion', level, message, figures)
+
+
+def _benefit_figures(benefit: Benefit) -> dict[str, float]:
+    """Return what rests have shown of the noise; per sample and axis."""
+    figures = {}
+    for k, (name, unit, factor) in enumerate(NOISES):
+        for kind, noise in benefit._asdict().items():
+            figures[f'{name}, {kind.replace("_", " ")} [{unit}]'] = factor * float(noise[k])
+    return figures
 
 
 def _imu_status(imu: ImuHealth, stream: ImuInput, names: Sequence[str]) -> tuple[Status, bool]:
@@ -75,10 +87,16 @@ def _imu_status(imu: ImuHealth, stream: ImuInput, names: Sequence[str]) -> tuple
     if state in ('ok', 'probation') and stream.silent_s() > SILENT_S:
         state = 'absent'
     level = LEVELS.get(state, ERROR)
+    if state == 'excluded':
+        state = f'excluded, for the others contradict its {imu.fault.reason}'
+    elif state == 'ambiguous':
+        state = f'the IMUs contradict each other ({imu.fault.reason}), and no majority agrees'
     if not stream.received:
         level, state = STALE, f'nothing came yet on {stream.topic}'
-    usable = level == OK
-    if usable and (advice := _advice(imu, names)):  # one that drifts is still better than none
+    usable = level == OK or imu.state == 'ambiguous'
+    if level == OK and (
+        advice := _advice(imu, names)
+    ):  # one that drifts is still better than none
         level, state = WARN, advice
     figures = {
         'rate [Hz]': imu.rate_hz,
@@ -87,6 +105,8 @@ def _imu_status(imu: ImuHealth, stream: ImuInput, names: Sequence[str]) -> tuple
         'malformed': stream.malformed,
         'rejected': imu.rejected,
         'gaps': imu.gaps,
+        'exclusions': imu.fault.exclusions,
+        'chi-square beside the others': imu.fault.chi_square,
     }
     return Status(imu.name, level, state, figures | dict(_drift_figures(imu))), usable
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiimu_ros.arrays import NANOSECONDS
-from multiimu_ros.pipeline import PipelineConfig, ProfileName
+from multiimu_ros.pipeline_config import PipelineConfig, ProfileName
 from multiimu_ros.report.scores import compare, Errors, errors_of, noise_of_one_sample, Row
 from multiimu_ros.report.tracks import alone, fused_track, mean_rig, plain_mean, Track
 from multiimu_ros.report.truth import fit_lateness, Lateness, Truth

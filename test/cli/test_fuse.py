@@ -110,15 +110,14 @@ def test_sqlite_is_written_where_it_is_wanted(tmp_path, recording):
 
 def test_frames_that_are_not_finite_are_not_written(tmp_path, recording, monkeypatch):
     bag, rig, _ = recording
-    push = Pipeline.push
+    push_block = Pipeline.push_block
 
-    def spoilt(pipeline, imu, stamp_ns, values):
-        frames = push(pipeline, imu, stamp_ns, values)
-        for frame in frames:
+    def spoilt(pipeline, *block):
+        for frame in push_block(pipeline, *block):
             frame.record[0] = np.nan
-        return frames
+            yield frame
 
-    monkeypatch.setattr(Pipeline, 'push', spoilt)
+    monkeypatch.setattr(Pipeline, 'push_block', spoilt)
     fuse(bag, rig, tmp_path / 'out')
     assert [topic.count for topic in list_topics(tmp_path / 'out')] == [0, 0]
 
@@ -129,7 +128,7 @@ def test_a_failure_leaves_no_half_written_bag(tmp_path, recording, monkeypatch):
     def break_off(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Pipeline, 'push', break_off)
+    monkeypatch.setattr(Pipeline, 'push_block', break_off)
     assert fuse(bag, rig, tmp_path / 'out').exit_code != 0
     assert not (tmp_path / 'out').exists()
 
@@ -138,7 +137,11 @@ def test_a_failure_leaves_no_half_written_bag(tmp_path, recording, monkeypatch):
     ('arguments', 'complaint'),
     [
         (['--profile', 'boat'], "`profile` must be one of 'hand', 'foot', 'vehicle', got 'boat'"),
-        (['--local', 'ukf'], '`local` must be one of'),
+        (['--local', 'lqr'], '`local` must be one of'),
+        (['--master', 'average', '--reset', 'none'], '`reset` is a setting of the master carlson'),
+        (['--master', 'scaat', '--local', 'ukf'], 'is one filter for all samples'),
+        (['--fuse-every', '0'], '`fuse_every` must be positive, got 0'),
+        (['--virtual-imu', '0', 'nan', '0'], '`virtual_imu` must be three finite numbers'),
         (['--topics', '/x'], '`/x` must fit one Imu topic'),
         (['--storage', 'csv'], '`storage` must be mcap or sqlite3'),
     ],

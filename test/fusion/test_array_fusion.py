@@ -5,7 +5,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from multiimu_ros.fusion.array_fusion import ArrayFusion, ArrayFusionConfig
-from multiimu_ros.fusion.rig_model import RigModel
+from multiimu_ros.fusion.rig_model import bare_model
 from multiimu_ros.fusion.rigid_body import specific_force_at
 from multiimu_ros.synchronization.synchronizer import Scan
 
@@ -17,11 +17,10 @@ SIGMA = DENSITY * np.sqrt(RATE_HZ)
 
 
 def model_of(count, bias_sigma=0.0, arms=None, density=None):
-    return RigModel(
+    return bare_model(
         np.tile(DENSITY, (count, 1)) if density is None else density,
-        np.full((count, 6), bias_sigma**2),
-        np.zeros((count, 6, 6)),
-        np.zeros((count, 3)) if arms is None else arms,
+        bias_variance=np.full((count, 6), bias_sigma**2),
+        lever_arms_b=np.zeros((count, 3)) if arms is None else arms,
     )
 
 

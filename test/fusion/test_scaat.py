@@ -11,7 +11,8 @@ from multiimu_ros.fusion.rig_model import rig_model
 from multiimu_ros.fusion.rigid_body import specific_force_at
 from multiimu_ros.fusion.scaat import ScaatFilter
 from multiimu_ros.fusion.scaat_step import correct_by_imu, force_jacobian, predict
-from multiimu_ros.pipeline import _entrance, MOTION, PipelineConfig
+from multiimu_ros.pipeline import _entrance, PipelineConfig
+from multiimu_ros.pipeline_config import MOTION
 from multiimu_ros.simulation.calibrated import calibrated_rig
 from multiimu_ros.simulation.errors import BMI160
 from multiimu_ros.simulation.placements import ring

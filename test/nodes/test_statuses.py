@@ -2,9 +2,12 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from multiimu_ros.fusion.benefit import Benefit
 from multiimu_ros.fusion.drift import Disagreement, Gap
+from multiimu_ros.fusion.faults import FaultState
 from multiimu_ros.nodes.diagnostics import ERROR, OK, WARN
 from multiimu_ros.nodes.inputs import ImuInput
 from multiimu_ros.nodes.statuses import FusionReport
@@ -20,10 +23,14 @@ def statuses(*imus):
     health, streams = [], []
     for k, (state, gaps) in enumerate(imus):
         gap = Disagreement(**{'rate': CALM, 'force': CALM, 'turn': CALM} | gaps)
-        health.append(ImuHealth(f'imu{k}', state, 200.0, 0.5, 9, 0, 0, gap))
+        fault = FaultState(state, 'angular rate: bias', 99.0, 0.1, 1)
+        health.append(ImuHealth(f'imu{k}', state, 200.0, 0.5, 9, 0, 0, gap, fault))
         streams.append(ImuInput(f'imu{k}/data'))
         streams[k].take(1)
-    pipeline = SimpleNamespace(health=lambda: health, frames=9, empty_scans=0, time_jumps=0)
+    benefit = Benefit(*(np.array([1e-3, 0.01]) for _ in Benefit._fields))
+    pipeline = SimpleNamespace(
+        health=lambda: health, benefit=lambda: benefit, frames=9, empty_scans=0, time_jumps=0
+    )
     return FusionReport(pipeline, streams).statuses(0)
 
 
@@ -57,3 +64,20 @@ def test_a_fault_wins_over_a_drift(state, level):
     fusion, sick, _ = statuses((state, {'force': gap}), ('ok', {}))
     assert (sick.level, sick.message) == (level, state)
     assert fusion.message == 'without imu0'
+
+
+def test_one_that_the_others_contradict_is_left_out_and_the_reason_told():
+    fusion, sick, *_ = statuses(('excluded', {}), ('ok', {}), ('ok', {}))
+    assert sick.level == ERROR
+    assert sick.message == 'excluded, for the others contradict its angular rate: bias'
+    assert sick.figures['exclusions'] == 1
+    assert fusion.message == 'without imu0'
+    assert fusion.figures['noise of force, fused noise [mm/s^2]'] == pytest.approx(10.0)
+
+
+def test_two_that_contradict_each_other_warn_and_stay():
+    fusion, *imus = statuses(('ambiguous', {}), ('ambiguous', {}))
+    for status in imus:
+        assert status.level == WARN
+        assert 'no majority agrees' in status.message
+    assert fusion.message == 'ok'
