@@ -161,8 +161,8 @@ def _differs(found: dict[str, list[Compared]]) -> tuple[str, ...]:
         ),
         (
             f'Asked for the present, the synchronised path errs {late:.0f} times as much as at '
-            'its scan: by what a hand turns in the milliseconds that it waits. Its frame carries the '
-            'stamp of the scan: who uses the stamp loses nothing, who ignores it does.'
+            'its scan: by what a hand turns in the milliseconds that it waits. Its frame carries '
+            'the stamp of the scan: who uses the stamp loses nothing, who ignores it does.'
         ),
         (
             'Jitter of the sampling costs nothing where the stamps tell of it. Jitter of the '

@@ -11,7 +11,7 @@ from multiimu_ros.experiments.board import drawn_rig, rms
 from multiimu_ros.fusion.array_fusion import ArrayFusion
 from multiimu_ros.fusion.rig_model import rig_model
 from multiimu_ros.fusion.scaat import ScaatFilter
-from multiimu_ros.pipeline import MOTION
+from multiimu_ros.pipeline_config import MOTION
 from multiimu_ros.rig import Rig
 from multiimu_ros.simulation.calibrated import calibrated_rig
 from multiimu_ros.simulation.errors import BMI160
@@ -95,7 +95,8 @@ def make_streams(case: Case, seed: int, duration: float) -> Streams:
         times: Scalars = begin + k * case.stagger
         if len(case.rates_hz) > 1:
             phase = float(rng.random())
-            times = (np.arange(round(duration * rate_hz) - 1) + phase) / rate_hz
+            count = round(duration * rate_hz) - 1
+            times = np.asarray((np.arange(count) + phase) / rate_hz, np.float64)
         raw = np.hstack(read_imu(true.imus[k], motion.at(times), rate_hz, BMI160, rng))
         A, c = affine(imu.intrinsics)
         kept = (rng.random(len(times)) >= case.dropout) & (times > BEGIN)

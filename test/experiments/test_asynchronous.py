@@ -6,7 +6,6 @@ import pytest
 from multiimu_ros.experiments import asynchronous
 from multiimu_ros.experiments.stream_cases import CASES, IMUS, make_streams
 
-
 SOME = ('one instant', 'staggered 0.4 ms', 'jitter 0.5 ms, told', 'stamps jitter 0.5 ms')
 
 
