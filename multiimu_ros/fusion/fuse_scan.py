@@ -100,22 +100,63 @@ def level(
     rate, P = state.fused[VALUE, :3], state.fused[VARIANCE, :3]
     slope, gain = push_slope(state.stamps, state.rates, state.scans, stamp, rate)
     state.spread[:] = 0.0
-    unlike = R[:, 3:] + slow_variance(model, state, 1, z, state.spread)
     window = max(SLOPE_WINDOW, 2.0 * state.clock[PERIOD])
+    P_slope = slope_variance(slope, gain * P, window)
+    hurry = 0.0  # what the slope lags behind, where a stride begins
+    for axis in range(3):
+        change = slope[axis] - state.fused[SLOPE, axis]
+        hurry += max(change * change - 9.0 * gain * P[axis], 0.0)
+    P_slope = P_slope + 4.0 * hurry
+    if settings[GUARD] > 0.0:
+        judge_forces(model, state, z, R, rate, slope, gain * P, P_slope)
+    unlike = R[:, 3:] + slow_variance(model, state, 1, z, state.spread)
     acceleration, P_a = array_acceleration(
-        z[:, 3:], unlike, model.lever_arms_b, rate, slope, slope_variance(slope, gain * P, window)
+        z[:, 3:], unlike, model.lever_arms_b, rate, slope, P_slope
     )
     if state.clock[BRIDGED] == 0.0 and state.scans[0] > 2:
         note_walk(state, P, acceleration, P_a)
     state.fused[SLOPE, :3], state.spread[:] = acceleration, P_a
-    L = lever_arm_matrix(rate, acceleration)
+    z[:, 3:] = at_origin(model, z, lever_arm_matrix(rate, acceleration))
+
+
+@compiled
+def at_origin(model: RigModel, z: Vectors, L: Matrix) -> Vectors:
+    """Return the forces (K, 3) of z (K, 6) without their lever arms."""
+    force = z[:, 3:].copy()
     for i in range(len(z)):
         arm = model.lever_arms_b[i]
         for row in range(3):
-            z[i, 3 + row] -= L[row, 0] * arm[0] + L[row, 1] * arm[1] + L[row, 2] * arm[2]
-    if settings[GUARD] > 0.0:
-        slow = slow_variance(model, state, 1, z, P_a)
-        judge(state.guard, 1, z[:, 3:], R[:, 3:], slow, state.clock[INTERVAL])
+            force[i, row] -= L[row, 0] * arm[0] + L[row, 1] * arm[1] + L[row, 2] * arm[2]
+    return force
+
+
+@compiled
+def judge_forces(
+    model: RigModel,
+    state: FusionState,
+    z: Vectors,
+    R: Vectors,
+    rate: Vector,
+    slope: Vector,
+    noise: Vector,
+    P_slope: Vector,
+) -> None:
+    """Judge forces whose lever arms the gyroscopes alone took out.
+
+    A broken accelerometer would turn the array's angular acceleration, and with it what all the
+    others seem to read.
+    """
+    force = at_origin(model, z, lever_arm_matrix(rate, slope))
+    slow = slow_variance(model, state, 1, z, np.diag(P_slope - noise))
+    white = R[:, 3:].copy()
+    for i in range(len(z)):
+        white[i] += cross_variance(model.lever_arms_b[i], np.diag(noise))
+    judged = white.copy()
+    judge(state.guard, 1, force, judged, slow, state.clock[INTERVAL])
+    for i in range(len(z)):
+        for axis in range(3):
+            if judged[i, axis] != white[i, axis]:
+                R[i, 3 + axis] *= judged[i, axis] / white[i, axis]
 
 
 @compiled
