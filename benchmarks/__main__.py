@@ -10,10 +10,10 @@ import tempfile
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import frame, live, startup
+from benchmarks import frame, live, offline, startup
 from multiimu_ros.errors import MultiImuError
 
-PARTS = ('frame', 'live', 'startup')
+PARTS = ('frame', 'offline', 'live', 'startup')
 
 
 def parse() -> argparse.Namespace:
@@ -46,6 +46,10 @@ def main() -> int:
         with console.status('timing fused frames'):
             result['frame'] = frame.rows()
         show(console, 'Microseconds per fused frame, medians of five', result['frame'])
+    if 'offline' in parts:
+        with console.status('fusing a bag of 8 x 1000 Hz'):
+            result['offline'] = offline.rows()
+        show(console, '`multiimu fuse` on a bag of 8 x 1000 Hz', result['offline'])
     if 'live' in parts:
         rates = options.rate or [200.0, 400.0]
         plan = [(a, rate) for a in options.arrangement or live.ARRANGEMENTS for rate in rates]

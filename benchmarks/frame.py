@@ -5,6 +5,8 @@ force, which walk at random) for each IMU, and the mean of their states.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from statistics import median
 import time
 
@@ -22,7 +24,7 @@ from multiimu_ros.simulation.recording import simulate, SimulatedRecording
 from multiimu_ros.simulation.trajectories import trajectory
 from multiimu_ros.synchronization.synchronizer import Scan, SyncConfig, Synchronizer
 
-COUNTS = (1, 4, 8, 16)
+COUNTS = (1, 2, 4, 8, 16)
 RATE = 200.0  # [Hz]
 SECONDS = 6.0  # of recording; four of rest, two of motion
 REPEATS = 5
@@ -52,18 +54,23 @@ def rows() -> list[dict[str, object]]:
 
         scans = scans_of(recording)
 
-        def step(rig=rig, scans=scans) -> int:
-            fusion = ArrayFusion(rig_model(rig), MOTION['hand'])
+        def step(rig=rig, scans=scans, *, guard: bool) -> int:
+            fusion = ArrayFusion(rig_model(rig), replace(MOTION['hand'], guard=guard))
             return sum(fusion.push(scan) is not None for scan in scans)
 
-        whole(), step()  # compiles
-        ours, fusion = microseconds(whole), microseconds(step)
+        whole(), step(guard=True)  # compiles
+        guarded = partial(step, guard=True)
+        ours, fusion = microseconds(whole), microseconds(guarded)
+        bare = microseconds(partial(step, guard=False))
         theirs = microseconds(lambda count=count, scans=scans: ukf_mean(count, scans))
+        first = result[0] if result else {'pipeline': ours}
         result.append(
             {
                 'IMUs': count,
                 'pipeline': ours,
+                'beside one IMU': ours / first['pipeline'],
                 'fusion step': fusion,
+                'without guard': bare,
                 'filterpy UKFs': theirs,
                 'UKFs / pipeline': theirs / ours,
             }
