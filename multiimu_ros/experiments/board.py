@@ -5,6 +5,7 @@ and the filters alone.  The IMUs of a board may be of different classes.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,8 @@ def fuse(
 ) -> Vectors:
     """Return what the fusion stage makes of registered readings, (N, 6).
 
+    The guard is off: no IMU is faulty, and it would take arms that are left in for a fault.
+
     Parameters
     ----------
     rig : Rig
@@ -108,7 +111,7 @@ def fuse(
     model = rig_model(rig)
     if not arms:
         model = model._replace(lever_arms_b=np.zeros_like(model.lever_arms_b))
-    fusion = ArrayFusion(model, motion)
+    fusion = ArrayFusion(model, replace(motion, guard=False))
     ones = np.ones(len(rig.imus))
     fused = np.full((len(values), 6), np.nan)
     for k, stamp_ns in enumerate(instants(len(values), rate_hz).tolist()):

@@ -29,7 +29,7 @@ from multiimu_ros.report.experiment_page import Cell, Result, Table
 from multiimu_ros.report.figures import XYZ
 from multiimu_ros.simulation.trajectories import make_motion
 
-BOARDS = 6
+BOARDS = 10
 DURATION = 60.0  # [s]; the thesis does not say
 # The thesis smooths, and does not say how much.  With these a single IMU has its printed rate and
 # force error; what fusion then gains is not chosen.

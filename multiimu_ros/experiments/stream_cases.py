@@ -1,6 +1,6 @@
 """IMUs that keep no common time, and both ways to fuse what they say."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import time
 
 import numpy as np
@@ -120,7 +120,7 @@ def _part(arrivals: Arrivals, start: int, stop: int) -> Arrivals:
 
 def compare(streams: Streams) -> Compared:
     """Run both paths, and the mean of the latest readings, over the same samples."""
-    model, config = rig_model(streams.rig), MOTION['hand']
+    model, config = rig_model(streams.rig), replace(MOTION['hand'], guard=False)
     synchronizer, fusion = Synchronizer(IMUS, SyncConfig()), ArrayFusion(model, config)
     sigmas = config.angular_acceleration_sigma, config.jerk_sigma
     behind, live = (ScaatFilter(model.density, model.lever_arms_b, *sigmas) for _ in range(2))

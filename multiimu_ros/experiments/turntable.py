@@ -37,7 +37,7 @@ from multiimu_ros.rig import Rig
 from multiimu_ros.simulation.motion import Motion, Trajectory
 from multiimu_ros.simulation.paths import stepper_move, through
 
-BOARDS = 12
+BOARDS = 20
 REST, TURN, DURATION = 4.0, 3.0, 13.0  # [s]
 PAIRS: tuple[tuple[int, ...], ...] = tuple((1, other) for other in range(2, 9))
 COUPLES = GROUPS['2 IMUs']

@@ -70,3 +70,9 @@ def test_table_92_shows_that_arms_matter_only_where_they_are_left_in():
     assert left['1&2'] > 14.0  # the way of the midpoint is 14.8 cm
     assert out['1&2'] < 8.0
     assert left['1&5'] == pytest.approx(out['1&5'], rel=0.02)  # balanced: no arm to take out
+
+
+def test_fours_of_couples_are_balanced_with_the_arms_left_in(perfect):
+    # The guard, were it on, would find three of the four to contradict the others.
+    for four in turntable.FOURS:
+        assert np.abs(position(perfect, four, arms=False)).max() < 1e-3
