@@ -103,12 +103,12 @@ def _table(found: dict[str, list[Compared]], where: str) -> Table:
         row: dict[str, Cell] = {'streams': name}
         ours, scaat = (_mean(each, where, path) for path in (SYNCHRONISED, SCAAT))
         for k, quantity in enumerate(('rate', 'force')):
-            row[f'{quantity}, synchronised'] = float(ours[k])
+            row[f'{quantity}, sync.'] = float(ours[k])
             row[f'{quantity}, SCAAT'] = float(scaat[k])
             if where == 'at_scan':
                 row[f'{quantity}, ratio'] = float(scaat[k] / ours[k])
         if where == 'now':
-            row['rate, latest averaged'] = float(_mean(each, where, LATEST)[0])
+            row['rate, latest mean'] = float(_mean(each, where, LATEST)[0])
             row['age [ms]'] = 1e3 * float(np.mean([one.age for one in each]))
         rows.append(row)
     when = 'At the stamp of the scan' if where == 'at_scan' else 'At the moment the scan is due'

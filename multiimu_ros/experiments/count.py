@@ -47,6 +47,7 @@ KINDS = (CALIBRATED, SHARED, UNSCALED)
 TIMED_SCANS = 300
 # Columns of what is measured of one fused IMU, and per SI what is shown.
 QUANTITIES = ('rate noise [mdeg/s]', 'force noise [mm/s²]', 'attitude [deg]', 'position [cm]')
+HALVES = tuple(enumerate(QUANTITIES))[:2], tuple(enumerate(QUANTITIES))[2:]
 PER_SI = np.array([1e3 / DEGREE, 1e3, 1 / DEGREE, 1e2])
 
 
@@ -159,7 +160,7 @@ def _result(errors: Matrix, costs: Scalars, counts: Scalars, seed: int, boards: 
             'Scale not calibrated: biases are known, scale and misalignment are not.'
         ),
         seed=seed,
-        tables=(_table(errors, costs, counts),),
+        tables=_tables(errors, costs, counts),
         pictures=(_noise(errors, counts), _drift(errors, counts), _cost(costs, counts)),
         differs=_differs(errors, counts),
     )
@@ -195,16 +196,19 @@ def _gain(errors: Scalars) -> float:
     return float(errors[0] / errors[-1])
 
 
-def _table(errors: Matrix, costs: Scalars, counts: Scalars) -> Table:
-    rows: list[dict[str, Cell]] = []
+def _tables(errors: Matrix, costs: Scalars, counts: Scalars) -> tuple[Table, Table]:
+    noise: list[dict[str, Cell]] = []
+    drift: list[dict[str, Cell]] = []
     for k, count in enumerate(counts):
         row: dict[str, Cell] = {'IMUs': f'{count}', '1/√N': float(1 / np.sqrt(count))}
-        row |= {name: float(errors[0, k, q]) for q, name in enumerate(QUANTITIES)}
-        row['attitude, common error'] = float(errors[1, k, 2])
-        row['position, common error'] = float(errors[1, k, 3])
-        row['frame [µs]'] = 1e6 * float(costs[k])
-        rows.append(row)
-    return Table(title='Errors of N fused IMUs', rows=tuple(rows))
+        first, last = ({name: float(errors[0, k, q]) for q, name in pairs} for pairs in HALVES)
+        noise.append(row | first | {'frame [µs]': 1e6 * float(costs[k])})
+        common = {'attitude, common': errors[1, k, 2], 'position, common': errors[1, k, 3]}
+        drift.append(row | last | {name: float(value) for name, value in common.items()})
+    return (
+        Table(title='Noise of N fused IMUs, and what a frame costs', rows=tuple(noise)),
+        Table(title='Drift of N fused IMUs, without and with a common error', rows=tuple(drift)),
+    )
 
 
 def _panel(q: int, lines: Sequence[Line], counts: Scalars, ideal: float) -> Panel:

@@ -189,15 +189,18 @@ def _table(scores: Scores, times: dict[str, float]) -> Table:
             {
                 'filter': name,
                 'noise': kind.noise,
-                'rest, like': errors[0],
-                'rest, corrupted': errors[1],
-                'motion, like': errors[2],
-                'motion, corrupted': errors[3],
-                'ratio in motion': _ratio(scores[name], 1),
+                'rest': errors[0],
+                'rest, one bad': errors[1],
+                'motion': errors[2],
+                'motion, one bad': errors[3],
+                'ratio': _ratio(scores[name], 1),
                 'step [ms]': 1e3 * times[name],
             }
         )
-    return Table(title='Ours, all filters [mdeg/s]; a dash: diverged', rows=tuple(rows))
+    return Table(
+        title='Ours, all filters [mdeg/s]; bad: one corrupted; a dash: diverged; ratio: in motion',
+        rows=tuple(rows),
+    )
 
 
 def _ends(ends: dict[float, Trial]) -> Table:

@@ -23,7 +23,7 @@ def test_scaat_loses_staggered_at_the_scan_and_wins_at_present(tables):
     at_scan, now = (table['staggered 0.4 ms'] for table in tables)
     # 1.5 on average over boards (docs/derivations/scaat.md); 800 scans tell it to 3 %.
     assert 1.2 < at_scan['rate, ratio'] < 1.9
-    assert now['rate, SCAAT'] < now['rate, synchronised']
+    assert now['rate, SCAAT'] < now['rate, sync.']
 
 
 def test_at_one_instant_nobody_waits(tables):
@@ -33,7 +33,7 @@ def test_at_one_instant_nobody_waits(tables):
 
 
 def test_stamps_that_tell_of_jitter_make_it_harmless(tables):
-    rates = [tables[0][name]['rate, synchronised'] for name in
+    rates = [tables[0][name]['rate, sync.'] for name in
              ('staggered 0.4 ms', 'jitter 0.5 ms, told', 'stamps jitter 0.5 ms')]  # fmt: skip
     assert rates[1] == pytest.approx(rates[0], rel=0.1)
     assert rates[2] > 1.5 * rates[0]

@@ -26,24 +26,24 @@ def test_every_printed_filter_has_our_numbers_beside_it(result):
 
 def test_in_motion_a_bad_imu_costs_what_theory_says(rows):
     # 24 series of 600 readings: ratios of rms are known to 1 %.
-    mean, best = (rows[name]['ratio in motion'] for name in ('average', 'carlson'))
+    mean, best = (rows[name]['ratio'] for name in ('average', 'carlson'))
     assert mean == pytest.approx(np.sqrt(8 / 3), rel=0.04)  # (1 + 1 + 2.45^2) / 9 over 1 / 3
     assert best == pytest.approx(trials.LEAST_RATIO, rel=0.03)
 
 
 def test_the_hat_learns_what_the_filter_is_not_told(rows):
     # 600 scans tell R to some 7 %, which weights feel in second order.
-    told, learnt = (rows[name]['motion, corrupted'] for name in ('carlson', 'carlson, R learnt'))
+    told, learnt = (rows[name]['motion, one bad'] for name in ('carlson', 'carlson, R learnt'))
     assert told < learnt < 1.03 * told
 
 
 def test_kf_and_ukf_are_one_filter_here(rows):
-    pair = [rows[name]['motion, corrupted'] for name in ('carlson', 'carlson, ukf')]
+    pair = [rows[name]['motion, one bad'] for name in ('carlson', 'carlson, ukf')]
     assert_allclose(pair[0], pair[1], rtol=1e-9)
 
 
 def test_the_printed_master_ends_where_imus_differ_and_only_there(result, rows):
-    assert np.isnan(rows['mfkf as printed']['rest, corrupted'])
+    assert np.isnan(rows['mfkf as printed']['rest, one bad'])
     said = [row['ours'] for row in result.tables[2].rows]
     assert said[0] == 'went on'
     scans = [int(text.split()[2]) for text in said[1:]]
