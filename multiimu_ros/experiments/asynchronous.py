@@ -108,7 +108,7 @@ def _table(found: dict[str, list[Compared]], where: str) -> Table:
             if where == 'at_scan':
                 row[f'{quantity}, ratio'] = float(scaat[k] / ours[k])
         if where == 'now':
-            row['rate, latest mean'] = float(_mean(each, where, LATEST)[0])
+            row['latest mean'] = float(_mean(each, where, LATEST)[0])
             row['age [ms]'] = 1e3 * float(np.mean([one.age for one in each]))
         rows.append(row)
     when = 'At the stamp of the scan' if where == 'at_scan' else 'At the moment the scan is due'
@@ -143,7 +143,7 @@ def _differs(found: dict[str, list[Compared]]) -> tuple[str, ...]:
     late = _mean(staggered, 'now', SYNCHRONISED)[0] / _mean(staggered, 'at_scan', SYNCHRONISED)[0]
     times = {path: 1e6 * np.median([one.times[path] for one in everyone])
              for path in (SYNCHRONISED, SCAAT)}  # fmt: skip
-    told, guessed = (found[name] for name in ('jitter 0.5 ms, told', 'stamps jitter 0.5 ms'))
+    told, guessed = (found[name] for name in ('jitter 0.5 ms, told', 'false stamps 0.5 ms'))
     harm = [
         _mean(guessed, 'at_scan', path)[0] / _mean(told, 'at_scan', path)[0]
         for path in (SYNCHRONISED, SCAAT)

@@ -54,9 +54,9 @@ class Case:
 CASES = {
     'one instant': Case(),
     'staggered 0.4 ms': Case(stagger=4e-4),
-    'spread over the round': Case(stagger=1 / RATE_HZ / IMUS),
+    'spread evenly': Case(stagger=1 / RATE_HZ / IMUS),
     'jitter 0.5 ms, told': Case(stagger=4e-4, jitter=5e-4),
-    'stamps jitter 0.5 ms': Case(stagger=4e-4, stamp_jitter=5e-4),
+    'false stamps 0.5 ms': Case(stagger=4e-4, stamp_jitter=5e-4),
     'a tenth lost': Case(stagger=4e-4, dropout=0.1),
     '100, 200, 333 Hz': Case(rates_hz=(100.0, 200.0, 333.0)),
 }

@@ -66,7 +66,9 @@ def in_words(cell: Cell) -> str:
     """Return a cell as it is shown: three digits, and a dash for what is not known."""
     if isinstance(cell, str):
         return cell
-    return UNKNOWN if math.isnan(cell) else f'{cell:.3g}'
+    if math.isnan(cell):
+        return UNKNOWN
+    return f'{cell:.0f}' if 1e3 <= abs(cell) < 1e5 else f'{cell:.3g}'
 
 
 def write_experiments(

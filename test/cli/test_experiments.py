@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from multiimu_ros.cli import experiments as verb
 from multiimu_ros.errors import ConfigError
 from multiimu_ros.report.experiment_figures import Boxes, Line, Panel, Picture
-from multiimu_ros.report.experiment_page import Result, Table
+from multiimu_ros.report.experiment_page import in_words, Result, Table
 
 
 def quick(seed, progress):
@@ -75,3 +75,8 @@ def test_an_unknown_experiment_is_refused_with_the_known_ones(tmp_path):
     with pytest.raises(ConfigError, match='`name` must be one of quick, again, got `soup`'):
         run('soup', '-o', tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_numbers_are_shown_with_three_digits_and_thousands_in_full():
+    shown = [in_words(value) for value in (0.012345, 12.3456, 1610.4, float('nan'), 'went on')]
+    assert shown == ['0.0123', '12.3', '1610', '–', 'went on']
