@@ -22,7 +22,8 @@ MEAN, NOISE, SLOW = 0, WIDTH, 2 * WIDTH
 CHI = 3 * WIDTH
 POWER = CHI + SCALES
 PAST = POWER + 2  # medians of the last three scans, of three axes each: in the first row only
-BLOCK = PAST + 9
+UNREST = PAST + 9  # by how much all disagree more than they should, scale by scale: likewise
+BLOCK = UNREST + SCALES
 INFORMATION = 2 * BLOCK  # WIDTH columns that one call of the kernel works in
 (
     EXCLUDED, SHARE, CALM_S, HOLD_S, SINCE_S, WELL_S, DISPUTE_S,
@@ -34,6 +35,7 @@ EXCLUDE = 40.0  # chi-squared of 3: 1e-8; eight IMUs at 200 Hz draw a million of
 SUSPECT = 20.0  # 2e-4; must stay below for the hold time before an IMU returns
 HOLD, LONGEST_HOLD = 0.5, 8.0  # [s] doubled by each relapse
 DOUBT = 0.03  # [s] one jump costs one reading; a second within this time, the IMU
+CALMS_S = 0.5  # [s] an array that disagreed as a whole is itself again
 RELAPSE = 10.0  # [s] after a return; what happens later is a new fault
 
 RATE, FORCE = 0, 1
@@ -52,7 +54,8 @@ def guard_state(count: int) -> Vectors:
     guard[:, [TRIAD, SCALE]] = np.nan
     for triad in (RATE, FORCE):
         guard[:, triad * BLOCK + CHI : triad * BLOCK + POWER] = np.nan
-        guard[:, triad * BLOCK + PAST : (triad + 1) * BLOCK] = np.nan
+        guard[:, triad * BLOCK + PAST : triad * BLOCK + UNREST] = np.nan
+        guard[:, triad * BLOCK + UNREST : (triad + 1) * BLOCK] = 1.0
     return guard
 
 

@@ -15,6 +15,7 @@ from multiimu_ros.compiled import compiled
 from multiimu_ros.fusion.fault_state import (
     AGREES,
     BLOCK,
+    CALMS_S,
     CHI,
     EXCLUDE,
     INFORMATION,
@@ -24,10 +25,13 @@ from multiimu_ros.fusion.fault_state import (
     PAST,
     SCALES,
     SLOW,
+    SUSPECT,
+    UNREST,
     VOTER,
     WIDTH,
 )
 
+MEDIAN_CHI = 2.37  # of chi-squared with three degrees of freedom
 MISSED = 0.3  # of a third difference: 0.064, and more where a burst only begins
 UNEXPLAINED = 180.0  # 3 sigma squared of a third difference of white noise, 1 - 3 3 -1
 
@@ -36,6 +40,9 @@ UNEXPLAINED = 180.0  # 3 sigma squared of a third difference of white noise, 1 -
 def average(guard: Vectors, triad: int, z: Vectors, R: Vectors, slow: Vectors, dt: float) -> None:
     """Bring the running means and their variances up to this scan."""
     between = _between_samples(guard, triad, z, R)
+    for scale in range(SCALES):
+        at = triad * BLOCK + UNREST + scale
+        guard[0, at] = 1.0 + (guard[0, at] - 1.0) * np.exp(-dt / CALMS_S)
     for i in range(len(guard)):
         row = guard[i]
         total = 0.0
@@ -129,35 +136,82 @@ def elect(guard: Vectors, triad: int) -> int:
 
 @compiled
 def _eliminate(guard: Vectors, triad: int) -> int:
-    """Return how many voters are left when all agree; 0 if the last two do not."""
+    """Return how many voters are left when all agree; 0 if the last two do not.
+
+    Whoever is not far worse than the tightest half of all is no exception: in a knock all IMUs
+    disagree, by stamps and by the bending of the board, and none of them is broken.
+    """
     voters = 0
     for i in range(len(guard)):
         voters += guard[i, VOTER] == 1.0
     while True:
-        worst = compare(guard, triad)
+        worst, scale = compare(guard, triad)
         if worst < 0:
             return voters
         if voters == 2:
             return 0
+        apart = _tightest(guard, triad, scale)
+        at = triad * BLOCK + UNREST + scale
+        unrest = apart / MEDIAN_CHI
+        chi = guard[worst, triad * BLOCK + CHI + scale] * guard[0, at]
+        if apart > SUSPECT and chi < EXCLUDE * unrest:
+            guard[0, at] = max(guard[0, at], unrest)
+            continue
         guard[worst, VOTER] = 0.0
         voters -= 1
 
 
 @compiled
-def compare(guard: Vectors, triad: int) -> int:
-    """Compare everybody with the voters (1); return the worst voter beyond, or -1."""
+def _tightest(guard: Vectors, triad: int, scale: int) -> float:
+    """Return how far apart the closest half of the members is: chi-squared of three.
+
+    The half has (K - 1) // 2 + 1 of the K candidates of `elect`; its middle is the one from which
+    the farthest of the half is nearest.  As many of the others may be wrong, each in its own way.
+    """
+    members = guard[:, AGREES].sum()
+    rank = (int(members) - 1) // 2
+    tightest = np.inf
+    for i in range(len(guard)):
+        if guard[i, AGREES] == 0.0:
+            continue
+        apart = np.full(len(guard), np.inf)
+        for j in range(len(guard)):
+            if j != i and guard[j, AGREES] == 1.0:
+                apart[j] = _between(guard, triad, scale, i, j)
+        tightest = min(tightest, np.sort(apart)[rank - 1])
+    return float(tightest)
+
+
+@compiled
+def _between(guard: Vectors, triad: int, scale: int, i: int, j: int) -> float:
+    """Return the chi-squared of the distance of two IMUs."""
+    total = 0.0
+    for place in range(3 * scale, 3 * scale + 3):
+        at = triad * BLOCK + MEAN + place
+        variance = 1.0 / guard[i, INFORMATION + place] + 1.0 / guard[j, INFORMATION + place]
+        total += (guard[i, at] - guard[j, at]) ** 2 / variance
+    return total
+
+
+@compiled
+def compare(guard: Vectors, triad: int) -> tuple[int, int]:
+    """Compare everybody with the voters (1); return the worst voter beyond and the scale, or -1.
+
+    What the unrest of the last moments explains is divided out of chi-squared.
+    """
     for i in range(len(guard)):
         for scale in range(SCALES):
             guard[i, triad * BLOCK + CHI + scale] = np.nan
-    worst, largest = -1, EXCLUDE
+    worst, worst_at, largest = -1, 0, EXCLUDE
     for scale in range(SCALES):
         for axis in range(3):
             _add_axis(guard, triad, scale, 3 * scale + axis, axis == 0)
         for i in range(len(guard)):
+            guard[i, triad * BLOCK + CHI + scale] /= guard[0, triad * BLOCK + UNREST + scale]
             chi = guard[i, triad * BLOCK + CHI + scale]
             if guard[i, VOTER] == 1.0 and chi > largest:
-                worst, largest = i, chi
-    return worst
+                worst, worst_at, largest = i, scale, chi
+    return worst, worst_at
 
 
 @compiled
