@@ -217,7 +217,7 @@ class ArrayFusion:
         if self._config.prefilter != 'none':
             scan = self._filtered(scan)
         if self._fuse is None:
-            out, weights = kernels.fuse_scan_door(
+            out, weights = kernels.fuse_scan(
                 *self._memory, scan.stamp_ns, scan.values, scan.share, scan.noise_gain
             )
         else:
@@ -225,7 +225,7 @@ class ArrayFusion:
         if self._config.noise == 'learnt' and scan.stamp_ns >= self._due_ns:
             self._due_ns = scan.stamp_ns + RELEARN_NS
             self._relearn()
-        if np.isnan(out[0, 0]):
+        if not np.isfinite(out[:2]).all():  # a triad that nobody has measured yet is unknown
             return None
         return FusedImu(scan.stamp_ns, out, weights)
 

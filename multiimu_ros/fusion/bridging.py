@@ -7,6 +7,7 @@ from multiimu_ros.compiled import compiled
 from multiimu_ros.fusion.fusion_state import (
     BEFORE,
     BRIDGED,
+    FORCES,
     FusionState,
     INTERVAL,
     PERIOD,
@@ -44,7 +45,7 @@ def bridge_gap(
             last, state.fused[BEFORE, :3], acceleration, state.spread
         )
     white = state.density[:, :3] ** 2 / state.clock[PERIOD]
-    lasting = slow_variance(model, state, 1, z, np.zeros((3, 3))) * (LASTING / dt)
+    lasting = slow_variance(model, state, FORCES, z, np.zeros((3, 3))) * (LASTING / dt)
     bridge[0], bridge[1:] = bridge_rate(
         bridge[0], bridge[1:], dt, settings[:3], walk, z[:, :3], white, at_limit,
         model.to_sensor, z[:, 3:], R[:, 3:] + lasting, model.lever_arms_b,

@@ -21,6 +21,8 @@ INTERVAL, PERIOD, BRIDGED, WALK = range(4)
 GUARD, LEARN, SETTINGS = 6, 7, 8
 # Rows of `fused`: values, their variances, derivatives of the values, variances a scan before.
 VALUE, VARIANCE, SLOPE, BEFORE = 0, 1, 2, 3
+# The triads of a scan.  No Python integers, of each of which numba would compile a copy.
+RATES, FORCES = np.arange(2)
 
 
 class FusionState(NamedTuple):

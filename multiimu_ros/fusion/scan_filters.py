@@ -10,6 +10,7 @@ from multiimu_ros.fusion.bridging import bridge_gap
 from multiimu_ros.fusion.federated import information_shares
 from multiimu_ros.fusion.filter_bank import FilterBank
 from multiimu_ros.fusion.fusion_state import FusionState, INTERVAL
+from multiimu_ros.fusion.level import level
 from multiimu_ros.fusion.rig_model import RigModel
 from multiimu_ros.fusion.scaat import ScaatFilter
 from multiimu_ros.synchronization.arrivals import Arrivals
@@ -52,7 +53,7 @@ class BankScans:
         b = np.zeros_like(R)
         self._fuse(RATE, z, R, b)
         bridge_gap(*tools, z, R, at_limit, b)
-        kernels.level(*tools, scan.stamp_ns, z, R)
+        level(*tools, scan.stamp_ns, z, R)
         self._fuse(FORCE, z, R, b)
         return kernels.close_scan(*tools, z, R, b, at_limit, scan.share, scan.noise_gain)
 
@@ -90,7 +91,8 @@ class ScaatScans:
         x, P = self._filter.advance(arrivals, self._state.offsets, trusted, scan.stamp_ns)
         variance = np.diag(P)[[0, 1, 2, 6, 7, 8]]
         kernels.note_fused(self._state, 0, x[:3], variance[:3])
-        kernels.level(*tools, scan.stamp_ns, z, R)
+        level(*tools, scan.stamp_ns, z, R)
+        self._state.spread[:] = 0.0  # P has what the angular acceleration adds
         kernels.note_fused(self._state, 3, x[3:], variance[3:])
         b[:, FORCE] = information_shares(R[:, FORCE])
         return kernels.close_scan(*tools, z, R, b, at_limit, scan.share, np.ones_like(scan.share))

@@ -5,6 +5,7 @@ import numpy as np
 from multiimu_ros.arrays import Matrix, Scalars, Vector, Vectors
 from multiimu_ros.compiled import compiled
 from multiimu_ros.fusion.fusion_state import (
+    FORCES,
     FusionState,
     INTERVAL,
     PERIOD,
@@ -55,10 +56,10 @@ def slow_variance(
     of the readings z (K, 6) say now: a motion may begin with this scan.
     """
     first = 3 * triad
-    slow = np.zeros((len(z), 3))
+    slow, ordered = np.zeros((len(z), 3)), np.empty(len(z))
     square, slope = state.fused[VALUE] ** 2, np.zeros(3)
     for axis in range(3):
-        now = _median(z[:, first + axis])
+        now = _median(z, first + axis, ordered)
         last = state.fused[VALUE, first + axis]
         if not np.isnan(now):
             square[first + axis] = now**2
@@ -72,7 +73,7 @@ def slow_variance(
             for other in range(6):
                 total += model.response_variance[i, row, other] * square[other]
             slow[i, axis] = total
-        if triad == 1:
+        if triad == FORCES:
             spread = cross_variance(model.lever_arms_b[i], P_a)
             for axis in range(3):
                 slow[i, axis] += spread[axis]
@@ -80,10 +81,22 @@ def slow_variance(
 
 
 @compiled
-def _median(readings: Vector) -> float:
-    """Return the median of those that are not NaN; NaN if there is none."""
-    known = readings[~np.isnan(readings)]
-    return float(np.median(known)) if len(known) else np.nan
+def _median(z: Vectors, column: int, ordered: Vector) -> float:
+    """Return the median of a column, of what is not NaN in it; NaN if there is nothing."""
+    count = 0
+    for i in range(len(z)):
+        value = z[i, column]
+        if np.isnan(value):
+            continue
+        place = count
+        while place > 0 and ordered[place - 1] > value:
+            ordered[place] = ordered[place - 1]
+            place -= 1
+        ordered[place] = value
+        count += 1
+    if count == 0:
+        return np.nan
+    return float(0.5 * (ordered[(count - 1) // 2] + ordered[count // 2]))
 
 
 @compiled
