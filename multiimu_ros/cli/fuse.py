@@ -21,6 +21,7 @@ from multiimu_ros.cli.options import (
     with_progress,
 )
 from multiimu_ros.fusion.benefit import Benefit
+from multiimu_ros.nodes.frames import fused_frame_id
 from multiimu_ros.pipeline import FusedFrame, ImuHealth, Pipeline, PipelineConfig
 from multiimu_ros.pipeline_config import CHOICES
 from multiimu_ros.rig import load_rig, Rig
@@ -69,6 +70,7 @@ def fuse(
     virtual_imu: Annotated[
         tuple[float, float, float], typer.Option(help='Where the fused IMU sits, base frame [m].')
     ] = (0.0, 0.0, 0.0),
+    virtual_imu_frame: Annotated[str, typer.Option(help='Name of the frame at that point.')] = '',
     storage: Annotated[str, typer.Option(help='mcap or sqlite3.')] = 'mcap',
     as_json: AsJson = False,
     options: OptionsFile = None,  # noqa: ARG001 read by its callback
@@ -80,11 +82,13 @@ def fuse(
         reset=cast('Any', reset), fuse_every=fuse_every, noise=cast('Any', noise), guard=guard,
         prefilter=cast('Any', prefilter), cutoff_hz=cutoff_hz, virtual_imu=virtual_imu,
     )  # fmt: skip
+    frame_id = fused_frame_id(board.rig.base_frame, virtual_imu, virtual_imu_frame)
     pipeline = Pipeline(board, config)
     names = find_imu_topics(list_topics(bag), board.names, split_names(topics))
     begin = time.perf_counter()
     recording = read_imus(bag, list(names.values()))
-    still = write_fused(fused_frames(pipeline, recording, list(names)), output, board, storage)
+    frames = fused_frames(pipeline, recording, list(names))
+    still = write_fused(frames, output, board, storage, frame_id)
     summary = _summary(pipeline, recording, still, time.perf_counter() - begin)
     if as_json:
         print_json(summary)
@@ -121,8 +125,14 @@ def fused_frames(
         yield from pipeline.push_block(streams[part], stamps_ns[part], values[part])
 
 
-def write_fused(frames: Iterator[FusedFrame], path: Path, rig: Rig, storage: str) -> float:
-    """Write the frames as a bag, which vanishes if that fails; return the share of still ones."""
+def write_fused(
+    frames: Iterator[FusedFrame], path: Path, rig: Rig, storage: str, frame_id: str = ''
+) -> float:
+    """Write the frames as a bag, which vanishes if that fails; return the share of still ones.
+
+    They are in the frame `frame_id`, which is the rig's base frame where it is empty.
+    """
+    frame_id = frame_id or rig.rig.base_frame
     bag = BagWriter(path, storage)
     still: list[bool] = []
     block: list[FusedFrame] = []
@@ -134,16 +144,16 @@ def write_fused(frames: Iterator[FusedFrame], path: Path, rig: Rig, storage: str
                 block.append(frame)
                 still.append(frame.still)
                 if len(block) == BLOCK:
-                    _write_block(bag, block, rig.rig.base_frame)
+                    _write_block(bag, block, frame_id)
                     block.clear()
-            _write_block(bag, block, rig.rig.base_frame)
+            _write_block(bag, block, frame_id)
     except BaseException:
         shutil.rmtree(path)
         raise
     return float(np.mean(still)) if still else float('nan')
 
 
-def _write_block(bag: BagWriter, frames: list[FusedFrame], base_frame: str) -> None:
+def _write_block(bag: BagWriter, frames: list[FusedFrame], frame_id: str) -> None:
     finite = [frame for frame in frames if np.isfinite(frame.record).all()]  # as the nodes do
     if not finite:
         return
@@ -151,7 +161,7 @@ def _write_block(bag: BagWriter, frames: list[FusedFrame], base_frame: str) -> N
     stamp_ns = np.array([frame.stamp_ns for frame in finite])
     samples = ImuSamples(stamp_ns, column['angular_rate'], column['specific_force'])
     imus = encode_imus(
-        base_frame,
+        frame_id,
         samples,
         rate_covariance=column['angular_rate_covariance'],
         force_covariance=column['specific_force_covariance'],
@@ -159,7 +169,7 @@ def _write_block(bag: BagWriter, frames: list[FusedFrame], base_frame: str) -> N
         orientation_covariance=column['orientation_covariance'],
     )
     odometry = encode_odometry(
-        ('odom', base_frame),
+        ('odom', frame_id),
         samples.stamp_ns,
         (column['position_n'], column['odom_orientation'], column['pose_covariance']),
         (column['velocity_b'], column['angular_rate'], column['twist_covariance']),

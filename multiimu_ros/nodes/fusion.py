@@ -2,6 +2,7 @@
 
 `zero_velocity` is a geometry_msgs/TwistWithCovarianceStamped in the base frame, one per frame in
 which the rig stands still and none while it moves: a filter downstream takes it as a measurement.
+`fusion/health` is described in `health`.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -9,20 +10,24 @@ from contextlib import contextmanager
 from functools import partial
 from math import isfinite
 from pathlib import Path
+import sys
 from threading import Timer
 from typing import Any
 
 from geometry_msgs.msg import TwistWithCovarianceStamped
 from nav_msgs.msg import Odometry
+import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger
 
-from multiimu_ros.errors import ConfigError
+from multiimu_ros.errors import ConfigError, MultiImuError
 from multiimu_ros.fused_frame import FusedFrame
 from multiimu_ros.nodes import convert
 from multiimu_ros.nodes.biases import with_biases
 from multiimu_ros.nodes.diagnostics import Diagnostics, Status
+from multiimu_ros.nodes.frames import fused_frame_id
+from multiimu_ros.nodes.health import HealthOutput, HealthReport
 from multiimu_ros.nodes.inputs import declare_rig, ImuInput, ImuInputs
 from multiimu_ros.nodes.outputs import Output
 from multiimu_ros.nodes.parameters import declare, declare_config, warn_about_unused
@@ -36,7 +41,7 @@ from multiimu_ros.rig import save_rig
 
 PATIENCE_S = 3.0
 COMPILING = 'Compiling the filters, once for this installation; it may take a minute ...'
-REST = (0.0, 0.0, 0.0, 0.0, 0.0, 9.80665)
+REST, REST_SIGMA = (0.0, 0.0, 0.0, 0.0, 0.0, 9.80665), (1e-3, 1e-3, 1e-3, 1e-2, 1e-2, 1e-2)
 
 
 @contextmanager
@@ -51,14 +56,24 @@ def explained(say: Callable[[str], Any]) -> Iterator[None]:
 
 
 def warm_up(pipeline: Pipeline, imus: int) -> None:
-    """Run a scratch pipeline for a second of rest, so that no kernel is compiled under load."""
-    for scan in range(200):
+    """Run a scratch pipeline for a second of rest, so that no kernel is compiled under load.
+
+    With noise: filters that learn theirs would make nonsense of readings that never change.
+    """
+    noise = np.random.default_rng(1).normal(REST, REST_SIGMA, (200, imus, 6))
+    for scan, values in enumerate(noise):
         for k in range(imus):
-            pipeline.push(k, scan * 5_000_000 + 1, REST)
+            pipeline.push(k, scan * 5_000_000 + 1, values[k])
 
 
 class FusionNode(Node):
-    """Hear `imu<k>/data_registered`; say `imu/data`, `odom` and `zero_velocity`."""
+    """Hear `imu<k>/data_registered`; say `imu/data`, `odom`, `zero_velocity`, `fusion/health`.
+
+    Attributes
+    ----------
+    failure : MultiImuError or None
+        What has ended the node while it ran.
+    """
 
     def __init__(
         self, name: str = 'fusion', suffix: str = 'data_registered', kind: Input = 'registered'
@@ -69,12 +84,15 @@ class FusionNode(Node):
         with explained(self.get_logger().info):
             warm_up(Pipeline(self.rig, config), len(self.rig.imus))
         self.pipeline = Pipeline(self.rig, config)
-        self._declare_outputs(self.rig.rig.base_frame)
+        self._declare_outputs(self._declare_frame(config))
         self._serve()
         self.not_finite = 0
+        self.failure: MultiImuError | None = None
         self._watch: SilenceWatch | None = None
         self.streams = self.open_inputs(suffix)
         self._fusion_report = FusionReport(self.pipeline, self.streams)
+        health = HealthReport(self.pipeline, self.streams)
+        self._health = HealthOutput(self, self.rig.rig.name, health)
         self.diagnostics = Diagnostics(self, self.rig.rig.name, self.report)
         warn_about_unused(self)
 
@@ -83,6 +101,11 @@ class FusionNode(Node):
         inputs = ImuInputs(self, self.rig, suffix, convert.decode_imu, self.on_reading)
         self._watch = SilenceWatch(self, inputs.streams, inputs.subscriptions)
         return inputs.streams
+
+    def _declare_frame(self, config: PipelineConfig) -> str:
+        words = 'frame of the point `virtual_imu`; empty: the base frame, for the base origin'
+        name = declare(self, 'virtual_imu_frame', '', words)
+        return fused_frame_id(self.rig.rig.base_frame, config.virtual_imu, name)
 
     def _declare_outputs(self, base_frame: str) -> None:
         odom_frame = declare(self, 'odom_frame', 'odom', 'frame that the odometry starts in')
@@ -103,7 +126,14 @@ class FusionNode(Node):
     def on_reading(self, k: int, stamp_ns: int, frame_id: str, values: Sequence[float]) -> None:
         """Push one reading into the pipeline and publish what became due."""
         del frame_id  # the rig file says where the IMU is
-        for frame in self.pipeline.push(k, stamp_ns, values):
+        try:
+            frames = self.pipeline.push(k, stamp_ns, values)
+        except MultiImuError as error:  # rclpy would print its own words about an exception
+            self.failure = error
+            self.context.try_shutdown()
+            return
+        for frame in frames:
+            self._health.note(frame)
             self._publish(frame)
 
     def _publish(self, frame: FusedFrame) -> None:
@@ -127,6 +157,7 @@ class FusionNode(Node):
         """Return the statuses of fusion and of each IMU."""
         if self._watch is not None:
             self._watch.check(self.get_logger().warning)
+        self._health.look()
         return self._fusion_report.statuses(self.not_finite)
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
@@ -155,6 +186,22 @@ class FusionNode(Node):
         return response
 
 
+def run_fusion(make_node: Callable[[], FusionNode]) -> int:
+    """Run until shutdown, or until the filter gives up; return the exit code as `run` does."""
+    nodes: list[FusionNode] = []
+
+    def make() -> FusionNode:
+        nodes.append(make_node())
+        return nodes[-1]
+
+    code = run(make)
+    for node in nodes:
+        if node.failure is not None:
+            sys.stderr.write(f'{node.failure}\n')
+            return 1
+    return code
+
+
 def main() -> int:
     """Run until shutdown."""
-    return run(FusionNode)
+    return run_fusion(FusionNode)

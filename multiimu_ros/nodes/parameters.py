@@ -21,7 +21,6 @@ import yaml
 from multiimu_ros.errors import ConfigError
 
 C = TypeVar('C')
-Value = bool | int | float | str | list[str]
 DESCRIBED = re.compile(r'^ {4}(\w[\w, ]*) : .*\n((?: {8}.*(?:\n|$))+)', re.MULTILINE)
 IMPLICIT = re.compile(r'use_sim_time$|start_type_description_service$|qos_overrides\.')
 
@@ -135,9 +134,7 @@ def _described(docstring: str) -> dict[str, str]:
     """Return the phrase of each name in the numpydoc section `Parameters`."""
     section = docstring.partition('Parameters\n')[2].partition('\n\n')[0]
     phrases: dict[str, str] = {}
-    for names, text in re.findall(
-        r'^ {4}(\w[\w, ]*) : .*\n((?: {8}.*(?:\n|$))+)', section, re.MULTILINE
-    ):
+    for names, text in DESCRIBED.findall(section):
         phrase = ' '.join(text.split()).rstrip('.')
         phrases |= dict.fromkeys(names.replace(' ', '').split(','), phrase)
     return phrases

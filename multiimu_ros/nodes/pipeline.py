@@ -12,11 +12,10 @@ from sensor_msgs.msg import Imu
 from multiimu_ros.nodes.calibration import Calibrator
 from multiimu_ros.nodes.convert import imu_numbers, RATE_AND_FORCE
 from multiimu_ros.nodes.diagnostics import Status
-from multiimu_ros.nodes.fusion import FusionNode
+from multiimu_ros.nodes.fusion import FusionNode, run_fusion
 from multiimu_ros.nodes.inputs import ImuInput
 from multiimu_ros.nodes.outputs import Output
 from multiimu_ros.nodes.registration import Registrar
-from multiimu_ros.nodes.run import run
 from multiimu_ros.nodes.serial_input import declare_port, SerialInput
 from multiimu_ros.nodes.stage import send_finite
 from multiimu_ros.wire.board import RawSample
@@ -84,4 +83,4 @@ class PipelineNode(FusionNode):
 
 def main() -> int:
     """Run until shutdown."""
-    return run(PipelineNode)
+    return run_fusion(PipelineNode)

@@ -1,6 +1,6 @@
-"""The fusion node's lines on /diagnostics."""
+"""The fusion node's lines on /diagnostics: what `fusion/health` says, in words for people."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 import math
 import time
 
@@ -12,13 +12,44 @@ from multiimu_ros.pipeline import ImuHealth, Pipeline
 
 NOISES = (('noise of rate', 'mdeg/s', 1e3 * math.degrees(1.0)), ('noise of force', 'mm/s^2', 1e3))
 SILENT_S = 0.5  # the pipeline knows an IMU is absent from the others; this is for when all are
-LEVELS = {'ok': OK, 'probation': WARN, 'disabled': WARN, 'ambiguous': WARN}  # all else is an error
+# All else is an error.  A suspect may be an accident of noise; it is as good as any until it is
+# excluded, and to warn of it would cry wolf several times a minute.
+LEVELS = {
+    'ok': OK,
+    'suspect': OK,
+    'readmitted': OK,
+    'probation': WARN,
+    'disabled': WARN,
+    'ambiguous': WARN,
+}
 # What may drift, as people say it: of one, of two that cannot be told apart; unit, factor.
 QUANTITIES = {
     'rate': ('its rate is off by', 'their rates differ by', 'deg/s', math.degrees(1.0)),
     'force': ('its force is off by', 'their forces differ by', 'm/s^2', 1.0),
     'turn': ('its rate in a turn is off by', 'their rates in a turn differ by', '%', 100.0),
 }
+
+
+def imu_state(imu: ImuHealth, stream: ImuInput) -> tuple[str, bytes]:
+    """Return the state of one IMU in a word, and its level.
+
+    The word is that of the guard for an IMU that is heard and trusted ('ok', 'suspect',
+    'readmitted', 'excluded', 'ambiguous'), else what its stream is ('absent', 'invalid', 'stuck',
+    'probation', 'disabled').
+    """
+    state = imu.state
+    if state != 'disabled' and stream.silent_s() > SILENT_S:
+        state = 'absent'
+    if not stream.received:
+        return 'absent', STALE
+    if state == 'ok':
+        state = imu.fault.state
+    return state, LEVELS.get(state, ERROR)
+
+
+def in_use(state: str, level: bytes) -> bool:
+    """Say whether fusion makes use of an IMU in this state."""
+    return level == OK or state == 'ambiguous'
 
 
 class FusionReport:
@@ -47,20 +78,24 @@ class FusionReport:
         """
         health = self._pipeline.health()
         names = [imu.name for imu in health]
-        pairs = zip(health, self._streams, strict=True)
-        imus = [_imu_status(imu, stream, names) for imu, stream in pairs]
-        return [self._fusion_status(imus, not_finite), *(status for status, _ in imus)]
+        states = [imu_state(*pair) for pair in zip(health, self._streams, strict=True)]
+        rows = zip(health, self._streams, states, strict=True)
+        imus = [_imu_status(imu, stream, state, names) for imu, stream, state in rows]
+        return [self._fusion_status(dict(zip(names, states, strict=True)), not_finite), *imus]
 
-    def _fusion_status(self, imus: Sequence[tuple[Status, bool]], not_finite: int) -> Status:
+    def _fusion_status(self, states: Mapping[str, tuple[str, bytes]], not_finite: int) -> Status:
         now, frames = time.monotonic(), self._pipeline.frames
         then, frames_then = self._before
         self._before = (now, frames)
-        faulty = [status.component for status, usable in imus if not usable]
+        faulty = [name for name, state in states.items() if not in_use(*state)]
+        disputed = [name for name, (state, _) in states.items() if state == 'ambiguous']
         level, message = OK, 'ok'
-        if len(faulty) == len(imus):
+        if len(faulty) == len(states):
             level, message = STALE, 'no IMU is usable'
         elif faulty:
             level, message = WARN, f'without {", ".join(faulty)}'
+        elif disputed:
+            level, message = WARN, contradiction(disputed)
         figures = {
             'fused rate [Hz]': (frames - frames_then) / (now - then),
             'frames': frames,
@@ -72,6 +107,13 @@ class FusionReport:
         return Status('fusion', level, message, figures)
 
 
+def contradiction(names: Sequence[str]) -> str:
+    """Say which IMUs contradict each other."""
+    *most, last = names
+    who = f'{", ".join(most)} and {last} contradict' if most else f'{last} contradicts the others'
+    return f'{who}{" each other" if most else ""}, and no majority says which is wrong'
+
+
 def _benefit_figures(benefit: Benefit) -> dict[str, float]:
     """Return what rests have shown of the noise; per sample and axis."""
     figures = {}
@@ -81,23 +123,27 @@ def _benefit_figures(benefit: Benefit) -> dict[str, float]:
     return figures
 
 
-def _imu_status(imu: ImuHealth, stream: ImuInput, names: Sequence[str]) -> tuple[Status, bool]:
-    """Return the status of one IMU, and whether fusion makes use of it."""
-    state = imu.state
-    if state in ('ok', 'probation') and stream.silent_s() > SILENT_S:
-        state = 'absent'
-    level = LEVELS.get(state, ERROR)
-    if state == 'excluded':
-        state = f'excluded, for the others contradict its {imu.fault.reason}'
-    elif state == 'ambiguous':
-        state = f'the IMUs contradict each other ({imu.fault.reason}), and no majority agrees'
+def imu_words(imu: ImuHealth, stream: ImuInput, state: str) -> str:
+    """Say in words what is the matter with an IMU in this state."""
+    reason = imu.fault.reason
     if not stream.received:
-        level, state = STALE, f'nothing came yet on {stream.topic}'
-    usable = level == OK or imu.state == 'ambiguous'
-    if level == OK and (
-        advice := _advice(imu, names)
-    ):  # one that drifts is still better than none
-        level, state = WARN, advice
+        return f'nothing came yet on {stream.topic}'
+    return {
+        'suspect': 'ok',  # it may be an accident; the chi-squared is among the figures
+        'excluded': f'excluded, for the others contradict its {reason}',
+        'readmitted': f'ok; readmitted, for the others no longer contradict its {reason}',
+        'ambiguous': f'the IMUs contradict each other ({reason}), and no majority agrees',
+    }.get(state, state)
+
+
+def _imu_status(
+    imu: ImuHealth, stream: ImuInput, judged: tuple[str, bytes], names: Sequence[str]
+) -> Status:
+    state, level = judged
+    words = imu_words(imu, stream, state)
+    # One that drifts is still better than none.
+    if level == OK and (advice := _advice(imu, names)):
+        level, words = WARN, advice
     figures = {
         'rate [Hz]': imu.rate_hz,
         'weight': imu.weight,
@@ -108,7 +154,7 @@ def _imu_status(imu: ImuHealth, stream: ImuInput, names: Sequence[str]) -> tuple
         'exclusions': imu.fault.exclusions,
         'chi-square beside the others': imu.fault.chi_square,
     }
-    return Status(imu.name, level, state, figures | dict(_drift_figures(imu))), usable
+    return Status(imu.name, level, words, figures | dict(_drift_figures(imu)))
 
 
 def _drift_figures(imu: ImuHealth) -> Iterator[tuple[str, float]]:

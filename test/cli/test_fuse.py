@@ -13,8 +13,9 @@ from multiimu_ros.bags import BagWriter, list_topics, read_imus
 from multiimu_ros.bags.cdr import encode_imus
 from multiimu_ros.cli.fuse import app
 from multiimu_ros.errors import ConfigError
+from multiimu_ros.fusion.masters import FilterDivergedError
 from multiimu_ros.pipeline import Pipeline, PipelineConfig
-from multiimu_ros.rig import load_rig, parse_rig, save_rig
+from multiimu_ros.rig import load_rig, Noise, parse_rig, PerTriad, save_rig
 from multiimu_ros.samples import ImuSamples
 
 N, IMUS = 300, 2
@@ -133,6 +134,29 @@ def test_a_failure_leaves_no_half_written_bag(tmp_path, recording, monkeypatch):
     assert not (tmp_path / 'out').exists()
 
 
+def test_a_filter_that_diverges_says_so_and_leaves_no_bag(tmp_path, recording):
+    bag, path, _ = recording
+    rig = load_rig(path)
+    noise = [
+        Noise(noise_density=PerTriad(gyroscope=[N] * 3, accelerometer=[10 * N] * 3))
+        for N in (0.01, 0.02)  # large and unlike, so that no process noise hides it
+    ]
+    imus = [imu.model_copy(update={'noise': n}) for imu, n in zip(rig.imus, noise, strict=True)]
+    save_rig(rig.model_copy(update={'imus': tuple(imus)}), path)
+    with pytest.raises(FilterDivergedError, match=r'mfkf_printed has diverged after \d+ scans'):
+        fuse(bag, path, tmp_path / 'out', '--master', 'mfkf_printed', '--profile', 'vehicle')
+    assert not (tmp_path / 'out').exists()
+
+
+def test_the_virtual_imu_has_a_frame_of_its_own(tmp_path, recording):
+    bag, rig, _ = recording
+    where = ['--virtual-imu', '0.1', '0', '0.02', '--virtual-imu-frame', 'tip']
+    assert fuse(bag, rig, tmp_path / 'out', *where).exit_code == 0
+    imus, poses = (messages(tmp_path / 'out', topic) for topic in ('/imu/data', '/odom'))
+    assert {imu.header.frame_id for imu in imus} == {'tip'}
+    assert {(pose.header.frame_id, pose.child_frame_id) for pose in poses} == {('odom', 'tip')}
+
+
 @pytest.mark.parametrize(
     ('arguments', 'complaint'),
     [
@@ -142,6 +166,10 @@ def test_a_failure_leaves_no_half_written_bag(tmp_path, recording, monkeypatch):
         (['--master', 'scaat', '--local', 'ukf'], 'is one filter for all samples'),
         (['--fuse-every', '0'], '`fuse_every` must be positive, got 0'),
         (['--virtual-imu', '0', 'nan', '0'], '`virtual_imu` must be three finite numbers'),
+        (
+            ['--virtual-imu', '0', '0', '0.1'],
+            '`virtual_imu_frame` must name the frame of the point',
+        ),
         (['--topics', '/x'], '`/x` must fit one Imu topic'),
         (['--storage', 'csv'], '`storage` must be mcap or sqlite3'),
     ],

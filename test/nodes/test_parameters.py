@@ -85,3 +85,16 @@ def test_settings_become_parameters_with_the_docstrings_words(make_node):
 def test_what_the_settings_refuse_is_a_config_error(make_node):
     with pytest.raises(ConfigError, match='`hop_s` must be below'):
         declare_config(make_node(hop_s=3.0), Settings)
+
+
+@pytest.mark.parametrize('given', [[0.1, 0.0, -0.2], [1, 0, 2]])
+def test_a_tuple_of_floats_is_a_list_of_numbers(make_node, given):
+    value = declare(make_node(point=given), 'point', [0.0, 0.0, 0.0], 'point [m]')
+    assert value == given
+    assert {type(item) for item in value} == {float}
+
+
+@pytest.mark.parametrize('given', [['a', 'b', 'c'], 'abc', [True, False, True]])
+def test_what_is_no_list_of_numbers_is_refused(make_node, given):
+    with pytest.raises(ConfigError, match='`point` must be a list of float'):
+        declare(make_node(point=given), 'point', [0.0, 0.0, 0.0], 'point [m]')

@@ -24,7 +24,8 @@ def statuses(*imus):
     for k, (state, gaps) in enumerate(imus):
         gap = Disagreement(**{'rate': CALM, 'force': CALM, 'turn': CALM} | gaps)
         fault = FaultState(state, 'angular rate: bias', 99.0, 0.1, 1)
-        health.append(ImuHealth(f'imu{k}', state, 200.0, 0.5, 9, 0, 0, gap, fault))
+        stream = 'ok' if state in ('suspect', 'readmitted') else state
+        health.append(ImuHealth(f'imu{k}', stream, 200.0, 0.5, 9, 0, 0, gap, fault))
         streams.append(ImuInput(f'imu{k}/data'))
         streams[k].take(1)
     benefit = Benefit(*(np.array([1e-3, 0.01]) for _ in Benefit._fields))
@@ -80,4 +81,17 @@ def test_two_that_contradict_each_other_warn_and_stay():
     for status in imus:
         assert status.level == WARN
         assert 'no majority agrees' in status.message
-    assert fusion.message == 'ok'
+    assert fusion.level == WARN
+    assert fusion.message == (
+        'imu0 and imu1 contradict each other, and no majority says which is wrong'
+    )
+
+
+def test_one_that_came_back_is_made_use_of_and_its_past_told():
+    fusion, sick, suspect = statuses(('readmitted', {}), ('suspect', {}))
+    assert (sick.level, fusion.message) == (OK, 'ok')
+    assert (
+        sick.message
+        == 'ok; readmitted, for the others no longer contradict its angular rate: bias'
+    )
+    assert (suspect.level, suspect.message) == (OK, 'ok')  # noise makes some all the time
