@@ -34,6 +34,7 @@ import kth
 from multiimu_ros.rig_calibration.calibrate import calibrate_rig
 
 COUNTS = (3, 8)
+LEAD, LASTS = 30.0, 10.0  # [s] of a real recording before a fault, and of the fault
 LONG = 300.0  # [s] of one recording without faults
 
 
@@ -98,12 +99,21 @@ def quiet_rows(
     return result
 
 
-def kth_case(name: str) -> Case:
-    """Return a real board of eight, calibrated on its own recording; the truth is not known."""
+def kth_cases(name: str) -> dict[str, list[Case]]:
+    """Return parts of a real recording, calibrated on the whole; their truth is not known.
+
+    Still poses with quick turns between, and the wildest waving, at 62.5 Hz and +-2000 deg/s.
+    """
     samples = kth.load(name)
     rig = calibrate_rig(kth.rig(samples), samples).after
-    seconds = float(samples[0].stamp_ns[-1] - samples[0].stamp_ns[0]) * 1e-9
-    return Case(rig, samples, Window(seconds - 60.0, seconds - 50.0, seconds), None)
+    cases = {}
+    for part, start in (('poses', 150.0), ('waving', 550.0)):
+        seconds = (samples[0].stamp_ns - samples[0].stamp_ns[0]) * 1e-9
+        kept = (seconds >= start - LEAD) & (seconds < start + 2.0 * LASTS)
+        window = Window(LEAD, LEAD + LASTS, LEAD + 2.0 * LASTS)
+        cases[f'{name}, {part}'] = [Case(rig, [s.select(kept) for s in samples], window, None)]
+    cases[name] = [Case(rig, samples, Window(0.0, 0.0, 0.0), None)]
+    return cases
 
 
 def show(console: Console, title: str, rows: list[dict[str, object]]) -> None:
@@ -127,8 +137,8 @@ def main() -> None:
     console = Console(stderr=options.json)
     console.width = max(console.width, 110)
     if options.kth:
-        case = kth_case(options.kth)
-        cases = {options.kth: [case]}
+        cases = kth_cases(options.kth)
+        (whole,) = cases.pop(options.kth)
     else:
         cases = {
             f'{n} IMUs': [simulated(n, seed) for seed in range(options.seeds)] for n in COUNTS
@@ -136,7 +146,7 @@ def main() -> None:
     result = {'faults': fault_rows(cases)}
     show(console, 'Faults of one IMU', result['faults'])
     if options.kth:
-        done = run(case, case.raw)
+        done = run(whole, whole.raw)
         hours = float(done.times[-1]) / 3600
         result['quiet'] = [{'board': options.kth, 'alarms_per_hour': sum(done.exclusions) / hours}]
         show(console, 'No fault', result['quiet'])
