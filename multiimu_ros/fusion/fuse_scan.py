@@ -26,6 +26,7 @@ from multiimu_ros.fusion.fusion_state import (
     GUARD,
     INTERVAL,
     LEARN,
+    PERIOD,
     RATES,
     SHARE,
     SLOPE,
@@ -44,6 +45,7 @@ from multiimu_ros.fusion.scan_noise import (
 from multiimu_ros.fusion.three_cornered_hat import track
 
 LEAST_PART = 0.05  # of a sensor axis in a base axis: what is less is misalignment
+MOST_MARGIN = 0.25  # of full scale that is given away before it, however hard the knock
 
 
 @compiled
@@ -70,7 +72,7 @@ def open_scan(
     R = white_noise(state, values, share)
     z = values - state.offsets
     at_limit = np.zeros_like(values)
-    if saturated(values, model.to_sensor, model.limits, at_limit):
+    if saturated(values, model.to_sensor, _believed_limits(model, state), at_limit):
         _leave_out(model, at_limit, R)
     if settings[GUARD] > 0.0:
         slow = slow_variance(model, state, RATES, z, state.spread)
@@ -78,6 +80,25 @@ def open_scan(
         judge(state.guard, RATES, z[:, :3].copy(), judged, slow, state.clock[INTERVAL])
         R[:, :3] = judged
     return z, R, at_limit
+
+
+@compiled
+def _believed_limits(model: RigModel, state: FusionState) -> Vectors:
+    """Return up to where (K, 6) a raw axis is believed.
+
+    A reading is interpolated: beyond what the motion can do in a period, the next sample of it
+    may be cut off already.
+    """
+    limits = model.limits.copy()
+    for triad in range(2):
+        square = 0.0
+        for axis in range(3 * triad, 3 * triad + 3):
+            square += state.fused[SLOPE, axis] ** 2
+        margin = np.sqrt(square) * state.clock[PERIOD]
+        for i in range(len(limits)):
+            for axis in range(3 * triad, 3 * triad + 3):
+                limits[i, axis] -= min(margin, MOST_MARGIN * model.limits[i, axis])
+    return limits
 
 
 @compiled
@@ -107,10 +128,11 @@ def close_scan(
     """Return what `fuse_scan` does, and align the IMUs; the forces are fused already."""
     out = np.zeros((4, 6))
     out[0] = state.fused[VALUE]
-    out[1] = state.fused[VARIANCE] * interpolation_gain(b, R, noise_gain)
+    out[1] = state.fused[VARIANCE]
     added = levelling_variance(model, state, b)
     if np.isfinite(added.sum()):
         out[1, 3:] += added
+    out[1] *= interpolation_gain(b, R, noise_gain)
     excluded = np.zeros(len(z))
     for i in range(len(z)):
         if at_limit[i].any():
@@ -146,10 +168,11 @@ def _fuse_triad(
 
 @compiled
 def note_fused(state: FusionState, first: int, x: Vector, P: Vector) -> None:
-    """Keep the fused values of three axes, and how fast they change."""
+    """Keep the fused values of three axes; how fast a rate changes is known better later."""
     for k in range(3):
         change = x[k] - state.fused[VALUE, first + k]
-        state.fused[SLOPE, first + k] = change / state.clock[INTERVAL]
+        if first > 0:
+            state.fused[SLOPE, first + k] = change / state.clock[INTERVAL]
         state.fused[BEFORE, first + k] = state.fused[VARIANCE, first + k]
         state.fused[VALUE, first + k], state.fused[VARIANCE, first + k] = x[k], P[k]
 

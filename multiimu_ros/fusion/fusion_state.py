@@ -14,15 +14,17 @@ from multiimu_ros.fusion.three_cornered_hat import hat_state
 # emptied them, the sums of the readings without their lever arm, and the scans that they are of.
 SCANS, SHARE, SUMS, COUNT = 0, 1, 2, 8
 TALLY = 9
-# Fields of the clock: time between scans, its running mean [s]; whether the last rate was bridged,
-# and from here on the two sums of `saturation.learn_walk`.
-INTERVAL, PERIOD, BRIDGED, WALK = range(4)
+# Fields of the clock: time between scans, its running mean [s]; whether the last rate was bridged;
+# fading sums of squares of the rate and of the angular acceleration; from here on the two sums of
+# `saturation.learn_walk`.
+INTERVAL, PERIOD, BRIDGED, TURNED, SWUNG, WALK = range(6)
 # Fields of the settings: angular acceleration and jerk (3 each), then switches.
 GUARD, LEARN, SETTINGS = 6, 7, 8
 # Rows of `fused`: values, their variances, derivatives of the values, variances a scan before.
 VALUE, VARIANCE, SLOPE, BEFORE = 0, 1, 2, 3
 # The triads of a scan.  No Python integers, of each of which numba would compile a copy.
-RATES, FORCES = np.arange(2)
+TRIADS: Stamps = np.arange(2)
+RATES, FORCES = TRIADS
 
 
 class FusionState(NamedTuple):
@@ -34,7 +36,7 @@ class FusionState(NamedTuple):
     stamps: Stamps  # (HISTORY,) of the fused rates, for their slope
     rates: Vectors  # (HISTORY, 3)
     scans: Stamps  # (1,): how many of them are valid
-    clock: Vector  # (5,): see INTERVAL
+    clock: Vector  # (7,): see INTERVAL
     density: Vectors  # (K, 6): white noise, of the rig file or learnt
     guard: Vectors  # (K, GUARD_COLUMNS)
     hat: Vectors  # (K, HAT_COLUMNS)
