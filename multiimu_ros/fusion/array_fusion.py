@@ -31,6 +31,7 @@ from multiimu_ros.fusion.local_filters import Local
 from multiimu_ros.fusion.masters import Master as BankMaster, Reset
 from multiimu_ros.fusion.prefilters import Prefilter, ScanPrefilter
 from multiimu_ros.fusion.rig_model import RigModel
+from multiimu_ros.fusion.saturation import saturated
 from multiimu_ros.fusion.scan_filters import BankScans, ScaatScans
 from multiimu_ros.fusion.three_cornered_hat import learnt_variance
 from multiimu_ros.synchronization.arrivals import Arrivals
@@ -179,7 +180,8 @@ class ArrayFusion:
         state.scans[0] = 0
         state.clock[:] = state.spread[:] = 0.0
         self.block[:] = 0.0
-        self._prefilter, self._scans, self._due_ns = None, 0, -(2**63)
+        self._prefilter, self._due_ns = None, -(2**63)
+        self._early: list[Vectors] = []  # scans before the prefilter
         if self._fuse is not None:
             self._fuse.restart()
 
@@ -230,15 +232,22 @@ class ArrayFusion:
         return FusedImu(scan.stamp_ns, out, weights)
 
     def _filtered(self, scan: Scan) -> Scan:
-        self._scans += 1
+        """Filter the readings; what is at its limit passes as it is, so as to be known for it."""
         if self._prefilter is None:
-            if self._scans < PREFILTER_FROM:
+            self._early.append(scan.values)
+            if len(self._early) < PREFILTER_FROM:
                 return scan
             config, rate_hz = self._config, 1.0 / self._state.clock[PERIOD]
             self._prefilter = ScanPrefilter(
                 config.prefilter, len(scan.values), cutoff_hz=config.cutoff_hz, rate_hz=rate_hz
             )
-        return replace(scan, values=self._prefilter.push(scan.values))
+            for values in self._early[:-1]:  # or a filter that lags would have nothing to say yet
+                self._prefilter.push(values)
+            self._early.clear()
+        values, at_limit = self._prefilter.push(scan.values), np.zeros_like(scan.values)
+        if saturated(scan.values, self._model.to_sensor, self._model.limits, at_limit):
+            values = np.where(at_limit.any(axis=1, keepdims=True), scan.values, values)
+        return replace(scan, values=values)
 
     def _relearn(self) -> None:
         R, known = learnt_variance(self._state.hat)

@@ -45,6 +45,7 @@ from multiimu_ros.fusion.scan_noise import (
 from multiimu_ros.fusion.three_cornered_hat import track
 
 LEAST_PART = 0.05  # of a sensor axis in a base axis: what is less is misalignment
+REACH = 2.0  # periods from a reading to the farthest sample that it is interpolated from
 MOST_MARGIN = 0.25  # of full scale that is given away before it, however hard the knock
 
 
@@ -86,15 +87,15 @@ def open_scan(
 def _believed_limits(model: RigModel, state: FusionState) -> Vectors:
     """Return up to where (K, 6) a raw axis is believed.
 
-    A reading is interpolated: beyond what the motion can do in a period, the next sample of it
-    may be cut off already.
+    A reading is interpolated by a parabola: where the motion takes it to the limit within two
+    periods, a sample behind it may be cut off.
     """
     limits = model.limits.copy()
     for triad in range(2):
         square = 0.0
         for axis in range(3 * triad, 3 * triad + 3):
             square += state.fused[SLOPE, axis] ** 2
-        margin = np.sqrt(square) * state.clock[PERIOD]
+        margin = REACH * np.sqrt(square) * state.clock[PERIOD]
         for i in range(len(limits)):
             for axis in range(3 * triad, 3 * triad + 3):
                 limits[i, axis] -= min(margin, MOST_MARGIN * model.limits[i, axis])
@@ -130,8 +131,9 @@ def close_scan(
     out[0] = state.fused[VALUE]
     out[1] = state.fused[VARIANCE]
     added = levelling_variance(model, state, b)
-    if np.isfinite(added.sum()):
+    if np.isfinite(added.sum()):  # noise of a scan, which is as white as the forces are
         out[1, 3:] += added
+        out[3, 3:] += added * state.clock[PERIOD]
     out[1] *= interpolation_gain(b, R, noise_gain)
     excluded = np.zeros(len(z))
     for i in range(len(z)):
