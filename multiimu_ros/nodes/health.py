@@ -70,11 +70,14 @@ class HealthReport:
     ----------
     states : list of str
         State of each IMU, as of the last statuses.
+    used : list of bool
+        Whether it should have a part in the fused value.
     """
 
     def __init__(self, pipeline: Pipeline, streams: Sequence[ImuInput]) -> None:
         self._pipeline, self._streams = pipeline, streams
         self.states = [''] * len(streams)
+        self.used = [False] * len(streams)
         self._begun_ns = [0] * len(streams)
 
     def statuses(self, stamp_ns: int) -> list[Status]:
@@ -84,6 +87,7 @@ class HealthReport:
         for k, (state, _) in enumerate(judged):
             if state != self.states[k] or not 0 < self._begun_ns[k] <= stamp_ns:
                 self.states[k], self._begun_ns[k] = state, stamp_ns
+        self.used = [in_use(*state) for state in judged]
         ages = [self._age_s(begun_ns, stamp_ns) for begun_ns in self._begun_ns]
         rows = zip(health, self._streams, judged, ages, strict=True)
         imus = [_imu_status(*row) for row in rows]
@@ -136,8 +140,7 @@ def _imu_status(
     if state in ('excluded', 'readmitted'):
         since_s = imu.fault.since_s
     elif state == 'absent':  # where all are, no stamp goes on
-        silent_s = stream.silent_s()
-        since_s = since_s if since_s > silent_s else silent_s
+        since_s = max(stream.silent_s(), since_s)  # in this order: the latter may be NaN
     figures: dict[str, object] = {
         'state': state,
         'reason': _reason(imu, state),
@@ -165,21 +168,17 @@ class HealthOutput:
     def __init__(self, node: Node, rig_name: str, report: HealthReport) -> None:
         self._rig_name, self._report = rig_name, report
         self._output = Output(node, DiagnosticArray, 'fusion/health')
-        self._used = b''
         self._stamp_ns = 0
 
     def note(self, frame: FusedFrame) -> None:
-        """Take a fused frame; publish if another set of IMUs than before has made it."""
+        """Take a fused frame; publish if its weights go with a change of states."""
         self._stamp_ns = frame.stamp_ns
-        if not self._output.wanted:
+        if not self._output.wanted or (frame.weights > 0.0).tolist() == self._report.used:
             return
-        used = (frame.weights > 0.0).tobytes()
-        if used != self._used:
-            self._used = used
-            before = list(self._report.states)
-            statuses = self._report.statuses(self._stamp_ns)
-            if self._report.states != before:  # one missing reading is no news
-                self._publish(statuses)
+        before = list(self._report.states)
+        statuses = self._report.statuses(self._stamp_ns)
+        if self._report.states != before:  # one missing reading is no news
+            self._publish(statuses)
 
     def look(self) -> None:
         """Publish, if somebody wants it; called five times a second."""

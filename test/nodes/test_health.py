@@ -186,7 +186,8 @@ def test_a_bias_is_excluded_named_and_forgiven_without_a_jump(rig_file, rng):
         peer.wait_until(lambda: reports[-1].status[0].message == '3 of 3 IMUs agree')
     excluded = first_that(reports, begin_ns, 'excluded')
     array, *_, sick = excluded.status
-    assert stamp_of(excluded) - begin_ns <= SECOND // 2
+    # Five times a second would be once in half a second of these stamps.
+    assert stamp_of(excluded) - begin_ns <= SECOND // 10
     assert (array.hardware_id, array.name, sick.name) == ('three', 'array', 'imu2')
     assert (array.level, sick.level) == (WARN, ERROR)
     reason = figures(sick)['reason']
