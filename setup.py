@@ -41,6 +41,7 @@ setup(
         'scipy',
         'typer',
     ],
+    extras_require={'wavelet': ['PyWavelets']},
     zip_safe=False,
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
