@@ -260,3 +260,18 @@ def test_gravity_is_what_the_file_says_else_the_latitudes_else_standard(keys, gr
 def test_the_nominal_imu_is_no_better_than_a_calibrated_one():
     noise = rigs.NOMINAL_NOISE
     assert np.all(np.array(noise.noise_density.gyroscope) >= np.deg2rad(0.007) * 0.98)
+
+
+def test_a_range_is_kept_and_may_name_one_triad_only(tmp_path):
+    rig = parse(edit(['imus', 0, 'range'], {'gyroscope': 8.7}))
+    assert rig.imus[0].range.gyroscope == 8.7
+    assert rig.imus[0].range.accelerometer is None
+    rigs.save_rig(rig, tmp_path / 'rig.yaml')
+    assert rigs.load_rig(tmp_path / 'rig.yaml') == rig
+    assert parse().imus[0].range is None
+
+
+@pytest.mark.parametrize('value', [0.0, -8.7, 'wide', float('inf')])
+def test_a_range_that_is_none_is_refused_by_its_path(value):
+    with pytest.raises(ConfigError, match=r'imus.*range.*gyroscope'):
+        parse(edit(['imus', 0, 'range'], {'gyroscope': value}))

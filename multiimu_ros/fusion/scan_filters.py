@@ -61,6 +61,10 @@ class BankScans:
         state = self._state
         Q = (self._settings[triad] * state.clock[INTERVAL]) ** 2
         x, P, shares = self._banks[triad.start].step(z[:, triad], R[:, triad], Q)
+        if (np.isfinite(R[:, triad]) & (shares == 0.0)).any():
+            # Carlson's shares wait for the next fusion; alignment takes a newcomer at once, or the
+            # noise of those who were there would stay in the common offset.
+            shares = information_shares(R[:, triad])
         b[:, triad] = shares
         kernels.note_fused(state, triad.start, x, P)
 
