@@ -22,6 +22,7 @@ from multiimu_ros.fusion.local_filters import kalman_step, KalmanLocal
 
 WINDOW = 200  # [scans] R is then known to some 15 %
 LEAST_NOISE = 0.01  # of S that R keeps: a gain of at most 99 %
+LEAST_PART = 1e-6  # of what was believed before: coarse readings at rest never change
 LEAST_GAIN = 0.01  # Q is at least its square of S, as for a gain of 1 %
 
 
@@ -52,8 +53,10 @@ class AdaptiveLocal(KalmanLocal):
         if enough.any():
             noise, walk, spread = self._terms[:3].sum(axis=1) / np.maximum(count, 1.0)
             noise = np.maximum(noise, LEAST_NOISE * spread)
+            noise = np.maximum(noise, LEAST_PART * np.where(np.isfinite(R), R, 0.0))
             noise = np.where(enough & np.isfinite(R), noise, R)
             walk = np.maximum(walk, LEAST_GAIN**2 * spread)
+            walk = np.maximum(walk, LEAST_PART * Q)
             weights = enough / np.maximum(enough.sum(axis=0), 1)
             motion = np.where(enough.any(axis=0), (weights * walk).sum(axis=0), Q)
         self._learn(z, R, Q)

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from multiimu_ros.fusion.adaptive_filter import AdaptiveLocal
+from multiimu_ros.fusion.filter_bank import FilterBank
 from multiimu_ros.fusion.local_filters import (
     COVARIANCE_WEIGHTS,
     fading_factors,
@@ -211,3 +212,12 @@ def test_a_cloud_that_is_hit_by_nothing_still_has_a_variance():
     after = local.step(x, P, np.full((1, 1), 50.0), R, 0.0 * R, P)
     assert np.isfinite(after.x).all()
     assert after.P[0, 0] >= 1e-8
+
+
+def test_readings_that_never_change_leave_an_adaptive_filter_sane():
+    bank = FilterBank('adaptive', 'carlson', 2, 1)
+    for _ in range(500):
+        bank.step(np.full((2, 1), 0.25), np.ones((2, 1)), np.ones(1))
+    x, P, _ = bank.step(np.full((2, 1), 0.5), np.ones((2, 1)), np.ones(1))
+    assert 0.25 <= x[0] <= 0.5
+    assert P[0] > 0.0
