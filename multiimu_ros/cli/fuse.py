@@ -21,9 +21,8 @@ from multiimu_ros.cli.options import (
     with_progress,
 )
 from multiimu_ros.fusion.benefit import Benefit
-from multiimu_ros.nodes.frames import fused_frame_id
 from multiimu_ros.pipeline import FusedFrame, ImuHealth, Pipeline, PipelineConfig
-from multiimu_ros.pipeline_config import CHOICES
+from multiimu_ros.pipeline_config import CHOICES, fused_frame_id
 from multiimu_ros.rig import load_rig, Rig
 from multiimu_ros.samples import ImuSamples
 

@@ -26,7 +26,6 @@ from multiimu_ros.fused_frame import FusedFrame
 from multiimu_ros.nodes import convert
 from multiimu_ros.nodes.biases import with_biases
 from multiimu_ros.nodes.diagnostics import Diagnostics, Status
-from multiimu_ros.nodes.frames import fused_frame_id
 from multiimu_ros.nodes.health import HealthOutput, HealthReport
 from multiimu_ros.nodes.inputs import declare_rig, ImuInput, ImuInputs
 from multiimu_ros.nodes.outputs import Output
@@ -36,7 +35,7 @@ from multiimu_ros.nodes.statuses import FusionReport
 from multiimu_ros.nodes.transform import TransformOutput
 from multiimu_ros.nodes.watch import SilenceWatch
 from multiimu_ros.pipeline import Pipeline, PipelineConfig
-from multiimu_ros.pipeline_config import Input
+from multiimu_ros.pipeline_config import fused_frame_id, Input
 from multiimu_ros.rig import save_rig
 
 PATIENCE_S = 3.0
