@@ -32,7 +32,7 @@ from multiimu_ros.fusion.fault_state import (
 )
 
 MEDIAN_CHI = 2.37  # of chi-squared with three degrees of freedom
-MISSED = 0.3  # of a third difference: 0.064, and more where a burst only begins
+MISSED = 0.7  # of a third difference; a parabola misses 0.064 of it, and more where a burst begins
 UNEXPLAINED = 180.0  # 3 sigma squared of a third difference of white noise, 1 - 3 3 -1
 
 
@@ -153,7 +153,7 @@ def _eliminate(guard: Vectors, triad: int) -> int:
         apart = _tightest(guard, triad, scale)
         at = triad * BLOCK + UNREST + scale
         unrest = apart / MEDIAN_CHI
-        chi = guard[worst, triad * BLOCK + CHI + scale] * guard[0, at]
+        chi = guard[worst, triad * BLOCK + CHI + scale] * _unrest(guard, triad, scale)
         if apart > SUSPECT and chi < EXCLUDE * unrest:
             guard[0, at] = max(guard[0, at], unrest)
             continue
@@ -207,11 +207,20 @@ def compare(guard: Vectors, triad: int) -> tuple[int, int]:
         for axis in range(3):
             _add_axis(guard, triad, scale, 3 * scale + axis, axis == 0)
         for i in range(len(guard)):
-            guard[i, triad * BLOCK + CHI + scale] /= guard[0, triad * BLOCK + UNREST + scale]
+            guard[i, triad * BLOCK + CHI + scale] /= _unrest(guard, triad, scale)
             chi = guard[i, triad * BLOCK + CHI + scale]
             if guard[i, VOTER] == 1.0 and chi > largest:
                 worst, worst_at, largest = i, scale, chi
     return worst, worst_at
+
+
+@compiled
+def _unrest(guard: Vectors, triad: int, scale: int) -> float:
+    """Return what is divided out at a scale; a knock is over before 50 ms are, but not in them."""
+    at = triad * BLOCK + UNREST
+    if scale == 1:
+        return float(max(guard[0, at], guard[0, at + 1]))
+    return float(guard[0, at + scale])
 
 
 @compiled
