@@ -180,5 +180,6 @@ def levelling_variance(model: RigModel, state: FusionState, b: Vectors) -> Vecto
             J = w[axis] * arm[k] - 2.0 * arm[axis] * w[k]
             if k == axis:
                 J += w[0] * arm[0] + w[1] * arm[1] + w[2] * arm[2]
-            added[axis] += J * J * P[k]
+            if P[k] < np.inf:  # a rate that nobody has measured yet makes no frame
+                added[axis] += J * J * P[k]
     return added

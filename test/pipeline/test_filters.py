@@ -92,7 +92,7 @@ def error_of_the_default():
 
 # Largest ratio of the error to that of kf + carlson.  Like IMUs: all means are the same.
 ALIKE = 1.005
-# Means over time of the innovations let `adaptive` smooth at rest; it may only be better.
+# `adaptive` smooths, by the means of its innovations; it may only be better.
 # 1000 particles of three filters: a resampled cloud adds some part of its variance, filters.md.
 PARTICLES = 1.35
 # The printed recursion counts its prior again and lags; docs/derivations/filters.md.
