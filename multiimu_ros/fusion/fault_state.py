@@ -27,9 +27,9 @@ BLOCK = UNREST + SCALES
 INFORMATION = 2 * BLOCK  # WIDTH columns that one call of the kernel works in
 (
     EXCLUDED, SHARE, CALM_S, HOLD_S, SINCE_S, WELL_S, DISPUTE_S,
-    COUNT, TRIAD, SCALE, VOTER, AGREES, DOUBT_S, HELD,
-) = range(INFORMATION + WIDTH, INFORMATION + WIDTH + 14)  # fmt: skip
-GUARD_COLUMNS = HELD + 1
+    COUNT, TRIAD, SCALE, VOTER, AGREES, DOUBT_S, HELD, INTERPOLATED,
+) = range(INFORMATION + WIDTH, INFORMATION + WIDTH + 15)  # fmt: skip
+GUARD_COLUMNS = INTERPOLATED + 1
 
 EXCLUDE = 40.0  # chi-squared of 3: 1e-8; eight IMUs at 200 Hz draw a million of them in an hour
 SUSPECT = 20.0  # 2e-4; must stay below for the hold time before an IMU returns
@@ -48,7 +48,7 @@ SCALE_WORDS = ('jump', 'bias', 'bias', 'drift', 'noise')
 def guard_state(count: int) -> Vectors:
     """Return the guard of `count` IMUs (K, GUARD_COLUMNS) that has seen nothing yet."""
     guard = np.zeros((count, GUARD_COLUMNS))
-    guard[:, SHARE] = 1.0
+    guard[:, SHARE] = guard[:, INTERPOLATED] = 1.0
     guard[:, HOLD_S] = HOLD
     guard[:, WELL_S] = np.inf
     guard[:, [TRIAD, SCALE]] = np.nan

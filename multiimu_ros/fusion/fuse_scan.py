@@ -16,7 +16,7 @@ from multiimu_ros.arrays import Matrix, Scalars, Stamps, Vector, Vectors
 from multiimu_ros.compiled import compiled
 from multiimu_ros.fusion.alignment import align, AT_LIMIT, CONTRADICTED
 from multiimu_ros.fusion.bridging import bridge_gap
-from multiimu_ros.fusion.fault_state import EXCLUDED
+from multiimu_ros.fusion.fault_state import EXCLUDED, INTERPOLATED
 from multiimu_ros.fusion.faults import judge
 from multiimu_ros.fusion.federated import federated_step, information_shares
 from multiimu_ros.fusion.fusion_state import (
@@ -57,6 +57,7 @@ def open_scan(
     stamp: int,
     values: Vectors,
     share: Scalars,
+    noise_gain: Scalars,
 ) -> tuple[Vectors, Vectors, Vectors]:
     """Prepare a scan for the fusion of its rates.
 
@@ -76,6 +77,8 @@ def open_scan(
     if saturated(values, model.to_sensor, _believed_limits(model, state), at_limit):
         _leave_out(model, at_limit, R)
     if settings[GUARD] > 0.0:
+        for i in range(len(z)):
+            state.guard[i, INTERPOLATED] = 1.0 if noise_gain[i] != 1.0 else 0.0
         slow = slow_variance(model, state, RATES, z, state.spread)
         judged = R[:, :3].copy()  # contiguous as the forces are: numba compiles one guard for both
         judge(state.guard, RATES, z[:, :3].copy(), judged, slow, state.clock[INTERVAL])
@@ -229,7 +232,7 @@ def fuse_scan(
     state = FusionState(
         fused, offsets, tally, stamps, rates, scans, clock, learnt, guard, hat, spread, bridge,
     )  # fmt: skip
-    z, R, at_limit = open_scan(model, state, settings, stamp, values, share)
+    z, R, at_limit = open_scan(model, state, settings, stamp, values, share, noise_gain)
     b = np.zeros_like(R)
     _fuse_triad(state, settings, z, R, b, RATES)
     bridge_gap(model, state, settings, z, R, at_limit, b)

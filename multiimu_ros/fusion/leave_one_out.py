@@ -19,6 +19,7 @@ from multiimu_ros.fusion.fault_state import (
     CHI,
     EXCLUDE,
     INFORMATION,
+    INTERPOLATED,
     MEAN,
     MEMORY_S,
     NOISE,
@@ -59,14 +60,15 @@ def average(guard: Vectors, triad: int, z: Vectors, R: Vectors, slow: Vectors, d
                 at = triad * BLOCK + place
                 mean = keep * row[at + MEAN] + gain * z[i, axis]
                 noise = keep * keep * row[at + NOISE] + gain * gain * R[i, axis]
-                lasting = keep * row[at + SLOW] + gain * (slow[i, axis] + between)
+                lasts = slow[i, axis] + row[INTERPOLATED] * between
+                lasting = keep * row[at + SLOW] + gain * lasts
                 row[at + MEAN], row[at + NOISE], row[at + SLOW] = mean, noise, lasting
                 row[INFORMATION + place] = 1.0 / (noise + lasting)
 
 
 @compiled
 def _between_samples(guard: Vectors, triad: int, z: Vectors, R: Vectors) -> float:
-    """Return the variance of what interpolation misses between samples.
+    """Return the variance of what interpolation misses between samples; sampled together, nothing.
 
     IMUs are read one after the other and put on one instant by a parabola, which misses up to
     0.064 of the third difference: nothing in a hand, metres per second squared in a heel strike.

@@ -49,7 +49,9 @@ class BankScans:
         """Fuse one scan, as `fuse_scan` does; `arrivals` are in it already."""
         del arrivals
         tools = self._model, self._state, self._settings
-        z, R, at_limit = kernels.open_scan(*tools, scan.stamp_ns, scan.values, scan.share)
+        z, R, at_limit = kernels.open_scan(
+            *tools, scan.stamp_ns, scan.values, scan.share, scan.noise_gain
+        )
         b = np.zeros_like(R)
         self._fuse(RATE, z, R, b)
         bridge_gap(*tools, z, R, at_limit, b)
@@ -88,7 +90,9 @@ class ScaatScans:
             msg = '`arrivals` must hold the samples since the previous scan, got None.'
             raise ValueError(msg)
         tools = self._model, self._state, self._settings
-        z, R, at_limit = kernels.open_scan(*tools, scan.stamp_ns, scan.values, scan.share)
+        z, R, at_limit = kernels.open_scan(
+            *tools, scan.stamp_ns, scan.values, scan.share, scan.noise_gain
+        )
         b = information_shares(R)
         believed = np.isfinite(R).reshape(-1, 2, 3).all(axis=2)
         trusted = np.where(believed, scan.share[:, None], 0.0)
