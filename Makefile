@@ -49,8 +49,8 @@ static: $(READY)
 # Before two workers, or four nodes, compile the same kernels at once.
 kernels: $(READY)
 	@echo 'Compiling the kernels, if they are new to this machine ...'
-	@$(BIN)/python examples/pipeline_in_a_loop.py
-	@$(BIN)/python examples/calibration.py
+	@$(BIN)/python examples/pipeline_in_a_loop.py & first=$$!; \
+		$(BIN)/python examples/calibration.py && wait $$first
 
 bench: $(READY)  ## microseconds per fused frame; latency and CPU of the live graph
 	$(BIN)/multiimu bench
