@@ -31,6 +31,7 @@ from multiimu_ros.fusion.fault_state import (
     VOTER,
     WIDTH,
 )
+from multiimu_ros.fusion.median import insert, middle
 
 MEDIAN_CHI = 2.37  # of chi-squared with three degrees of freedom
 MISSED = 0.7  # of a third difference; a parabola misses 0.064 of it, and more where a burst begins
@@ -78,9 +79,9 @@ def _between_samples(guard: Vectors, triad: int, z: Vectors, R: Vectors) -> floa
     row, ordered = guard[0], np.empty(len(z))
     for axis in range(3):
         at = triad * BLOCK + PAST + 3 * axis
-        middle, noise = _median(z, R, axis, ordered)
-        third = middle - 3.0 * row[at] + 3.0 * row[at + 1] - row[at + 2]
-        row[at + 2], row[at + 1], row[at] = row[at + 1], row[at], middle
+        now, noise = _median(z, R, axis, ordered)
+        third = now - 3.0 * row[at] + 3.0 * row[at + 1] - row[at + 2]
+        row[at + 2], row[at + 1], row[at] = row[at + 1], row[at], now
         excess = third * third - UNEXPLAINED * noise
         if excess > 0.0:  # never for NaN
             missed += MISSED * MISSED * excess
@@ -96,15 +97,11 @@ def _median(z: Vectors, R: Vectors, axis: int, ordered: Vector) -> tuple[float, 
         if not np.isfinite(value + R[i, axis]):
             continue
         noise += R[i, axis]
-        place = count
-        while place > 0 and ordered[place - 1] > value:
-            ordered[place] = ordered[place - 1]
-            place -= 1
-        ordered[place] = value
+        insert(ordered, count, value)
         count += 1
     if count == 0:
         return np.nan, np.nan
-    return 0.5 * (ordered[(count - 1) // 2] + ordered[count // 2]), noise / count
+    return middle(ordered, count), noise / count
 
 
 @compiled

@@ -13,6 +13,7 @@ from multiimu_ros.fusion.fusion_state import (
     SLOPE,
     VALUE,
 )
+from multiimu_ros.fusion.median import insert, middle
 from multiimu_ros.fusion.rig_model import RigModel
 
 STARTING_PERIOD = 0.005  # [s] believed for the first two scans only
@@ -88,15 +89,11 @@ def _median(z: Vectors, column: int, ordered: Vector) -> float:
         value = z[i, column]
         if np.isnan(value):
             continue
-        place = count
-        while place > 0 and ordered[place - 1] > value:
-            ordered[place] = ordered[place - 1]
-            place -= 1
-        ordered[place] = value
+        insert(ordered, count, value)
         count += 1
     if count == 0:
         return np.nan
-    return float(0.5 * (ordered[(count - 1) // 2] + ordered[count // 2]))
+    return middle(ordered, count)
 
 
 @compiled

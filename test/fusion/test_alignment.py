@@ -1,35 +1,11 @@
 """Differences of biases: learnt at once, moved slowly, and no step when an IMU leaves."""
 
+from array_scans import fuse, model_of, scan, SIGMA
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
 from multiimu_ros.fusion.array_fusion import ArrayFusion, ArrayFusionConfig
-from multiimu_ros.fusion.rig_model import bare_model
-from multiimu_ros.synchronization.synchronizer import Scan
-
-STEP_NS = 5_000_000
-DENSITY = np.repeat([1.2e-4, 1.8e-3], 3)
-SIGMA = DENSITY * np.sqrt(200.0)
-
-
-def model_of(count, bias_sigma=0.0, arms=None, density=None):
-    return bare_model(
-        np.tile(DENSITY, (count, 1)) if density is None else density,
-        bias_variance=np.full((count, 6), bias_sigma**2),
-        lever_arms_b=np.zeros((count, 3)) if arms is None else arms,
-    )
-
-
-def scan(n, values, share):
-    return Scan(n * STEP_NS, values, share, np.ones(len(share)))
-
-
-def fuse(fusion, readings, share=None):
-    """Return fused values and the frames of readings (N, K, 6)."""
-    share = np.ones(readings.shape[:2]) if share is None else share
-    frames = [fusion.push(scan(n, z, share[n])) for n, z in enumerate(readings)]
-    return np.array([frame.values for frame in frames]), frames
 
 
 def configured(**settings):
