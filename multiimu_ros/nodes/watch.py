@@ -46,11 +46,17 @@ def explain_silence(node: Node, subscription: Subscription, malformed: int = 0) 
         verdict, reason = qos_check_compatible(info.qos_profile, subscription.qos_profile)
         if verdict == QoSCompatibility.ERROR:
             return (
-                f'`{topic}`: the QoS of /{info.node_name} does not fit ({reason.strip("; ")}); '
+                f'`{topic}`: the QoS of {_name(info.node_name)} does not fit '
+                f'({reason.strip("; ")}); '
                 f'set `qos_overrides.{topic}.subscription.reliability: best_effort`.'
             )
-    names = ', '.join(sorted({f'/{info.node_name}' for info in fitting}))
+    names = ', '.join(sorted({_name(info.node_name) for info in fitting}))
     return f'`{topic}`: {names} publishes it but sends nothing; look at its diagnostics.'
+
+
+def _name(node_name: str) -> str:
+    """Return what to call a node; its topics may be discovered before its name is."""
+    return 'a node without a name yet' if 'UNKNOWN' in node_name else f'/{node_name}'
 
 
 def _explain_absence(node: Node, topic: str) -> str:
