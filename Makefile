@@ -31,8 +31,8 @@ test: static kernels  ## everything: linters, types, imports, all tests with bra
 	@rm -f .coverage
 	@echo '== 1/3 core, compiled, two at a time'
 	$(COVERED) -n 2 -m 'not ros'
-	@echo '== 2/3 rim: real nodes and processes, each half in a domain of its own'
-	$(COVERED) -n 2 --dist loadfile -m ros
+	@echo '== 2/3 rim: real nodes and processes that mostly wait, each third in a domain of its own'
+	$(COVERED) -n 3 --dist loadfile -m ros
 	@echo '== 3/3 kernels as plain Python, for coverage'
 	MULTIIMU_COMPILED=0 $(COVERED) -n 2 -m 'not ros and not slow and not realdata' $(KERNELS)
 	$(BIN)/python -m coverage report --skip-covered

@@ -1,4 +1,4 @@
-"""Forty simulated calibrations against the Cramer-Rao bound, and against their own sigmas.
+"""Two dozen simulated calibrations against the Cramer-Rao bound, and against their own sigmas.
 
 The bound is computed here from a forward model of its own: means of the
 accelerometer and the gyroscope in 61 rests, and the turns between them, under the covariance that
@@ -26,7 +26,7 @@ from multiimu_ros.simulation.recording import simulate
 from multiimu_ros.simulation.trajectories import calibration_path
 
 pytestmark = pytest.mark.slow
-SEEDS, POSES, REST_S, POSE_S, MOVE_S, RATE = 40, 60, 10.0, 4.0, 3.0, 200.0
+SEEDS, POSES, REST_S, POSE_S, MOVE_S, RATE = 24, 60, 10.0, 4.0, 3.0, 200.0
 DURATION = REST_S + POSES * (POSE_S + MOVE_S) + 1.0
 GROUPS = {
     'accelerometer scale': np.arange(0, 3),
@@ -136,7 +136,7 @@ def bound(recording):
 
 @functools.cache
 def trials():
-    """Return errors, sigmas and bounds (40, 30); the bias is the drift's mean over the rests."""
+    """Return errors, sigmas and bounds (24, 30); the bias is the drift's mean over the rests."""
     rows = []
     for seed in range(SEEDS):
         recording = record(seed)
