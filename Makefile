@@ -15,6 +15,9 @@ export HYPOTHESIS_PROFILE ?= ci
 # Python, without what takes long or needs ROS.
 KERNELS := $(wildcard test/test_rotations.py test/calibration test/registration \
 	test/synchronization test/fusion test/odometry test/wire test/pipeline)
+# What is plain numpy anyhow.
+NO_KERNELS := $(foreach name,filter_bank local_filters masters prefilters,\
+	--ignore=test/fusion/test_$(name).py)
 
 .DEFAULT_GOAL := help
 .PHONY: help install kernels demo test check static bench clean
@@ -34,7 +37,8 @@ test: static kernels  ## everything: linters, types, imports, all tests with bra
 	@echo '== 2/3 rim: real nodes and processes that mostly wait, each third in a domain of its own'
 	$(COVERED) -n 3 --dist loadfile -m ros
 	@echo '== 3/3 kernels as plain Python, for coverage'
-	MULTIIMU_COMPILED=0 $(COVERED) -n 2 -m 'not ros and not slow and not realdata' $(KERNELS)
+	MULTIIMU_COMPILED=0 $(COVERED) -n 2 -m 'not ros and not slow and not realdata' \
+		$(KERNELS) $(NO_KERNELS)
 	$(BIN)/python -m coverage report --skip-covered
 
 check: static kernels  ## the four of pre-commit, with the quick tests only
