@@ -77,8 +77,8 @@ def open_scan(
     if saturated(values, model.to_sensor, _believed_limits(model, state), at_limit):
         _leave_out(model, at_limit, R)
     if settings[GUARD] > 0.0:
-        for i in range(len(z)):
-            state.guard[i, INTERPOLATED] = 1.0 if noise_gain[i] != 1.0 else 0.0
+        # The reference is not interpolated, but is compared with those that are.
+        state.guard[:, INTERPOLATED] = 1.0 if noise_gain.min() < 1.0 else 0.0
         slow = slow_variance(model, state, RATES, z, state.spread)
         judged = R[:, :3].copy()  # contiguous as the forces are: numba compiles one guard for both
         judge(state.guard, RATES, z[:, :3].copy(), judged, slow, state.clock[INTERVAL])
