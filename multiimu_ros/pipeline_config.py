@@ -37,10 +37,11 @@ class PipelineConfig:
         What is pushed in: which stages are still to do.
     profile : {'hand', 'foot', 'vehicle'}
         What the rig is mounted on.
-    local : {'kf', 'ukf', 'adaptive', 'afukf', 'particle'}
-        Local filter of each IMU.
-    master : {'carlson', 'centralised', 'average', ...}
-        Master filter that fuses the local ones; scaat takes sample by sample instead.
+    local : str
+        Local filter of each IMU: kf, ukf, adaptive, afukf or particle.
+    master : str
+        What fuses the local filters: carlson, centralised, inverse_variance, inverse_sigma,
+        average or mfkf_printed; scaat takes sample by sample instead.
     reset : {'fusion', 'none', 'zero'}
         What the master carlson gives back to the local filters.
     fuse_every : int
