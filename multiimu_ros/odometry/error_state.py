@@ -20,7 +20,8 @@ import numpy as np
 
 from multiimu_ros.arrays import as_vector, Matrix, Vector
 from multiimu_ros.compiled import compiled
-from multiimu_ros.odometry.error_dynamics import align, step
+from multiimu_ros.odometry.error_dynamics import step
+from multiimu_ros.odometry.error_updates import align
 from multiimu_ros.odometry.rest import RestBuffer, Sample
 from multiimu_ros.rotations import product, skew
 

@@ -1,0 +1,129 @@
+"""Compiled kernels of the 15-state error-state filter: what the measurements correct.
+
+State and error are those of `error_dynamics`, the equations those of
+docs/derivations/error_state.md.
+"""
+
+import numpy as np
+
+from multiimu_ros.arrays import Matrix, Vector
+from multiimu_ros.compiled import compiled
+from multiimu_ros.odometry.attitude import level, OUTAGE
+from multiimu_ros.odometry.kalman import scalar_update, transform_block, white_equivalent
+from multiimu_ros.rotations import exp_so3, product, renormalise, skew
+
+CREDIBLE_SQUARE = 16.0  # 4 sigma; beyond it a swinging foot that looks still for a moment
+CONFIRMED = 0.1  # [s] no swing looks still for longer, but a running stance does
+
+
+@compiled
+def _update_direct(
+    error: Vector, P: Matrix, measured: int, residual: Vector, variance: Vector, first: int
+) -> None:
+    """Correct the states from `first` on by seeing three states, from `measured` on."""
+    for axis in range(3):
+        h = np.zeros(15)
+        h[measured + axis] = 1.0
+        scalar_update(error, P, h, residual[axis], variance[axis], first, 15)
+
+
+@compiled
+def _update_gravity(
+    error: Vector, P: Matrix, R: Matrix, residual: Vector, variance: Vector, gravity: float
+) -> None:
+    """Correct all but the position by force = R' g + accel bias + noise."""
+    h = np.zeros((3, 15))
+    h[:, 6:9] = skew(gravity * R[2])
+    for axis in range(3):
+        h[axis, 12 + axis] = 1.0
+        scalar_update(error, P, h[axis], residual[axis], variance[axis], 3, 15)
+
+
+@compiled
+def _inject(x: Vector, R: Matrix, P: Matrix, error: Vector) -> None:
+    """Move the estimated error into the state (error_state.md (8))."""
+    x += error
+    x[6:9] = 0.0
+    R[:] = renormalise(product(R, exp_so3(error[6:9])))
+    transform_block(P, exp_so3(-error[6:9]), 6)
+
+
+@compiled
+def _zero_velocity(x: Vector, R: Matrix, P: Matrix, variance: float) -> None:
+    error = np.zeros(15)
+    _update_direct(error, P, 3, -x[3:6], np.full(3, variance), 0)
+    _inject(x, R, P, error)
+
+
+@compiled
+def _credible(x: Vector, P: Matrix, variance: float) -> bool:
+    """Say whether the estimated velocity could be zero, going by its own uncertainty."""
+    expected = P[3, 3] + P[4, 4] + P[5, 5] + 3.0 * variance
+    return bool(x[3] ** 2 + x[4] ** 2 + x[5] ** 2 < CREDIBLE_SQUARE * expected)
+
+
+@compiled
+def align(
+    x: Vector, R: Matrix, P: Matrix, force: Vector, variance: Vector, gravity: float
+) -> None:
+    """Level the attitude by a force whose noise and motion have `variance` (3,)."""
+    corrected = force - x[12:15]
+    R[:] = level(corrected)
+    P[6:9, :] = 0.0
+    P[:, 6:9] = 0.0
+    for i in range(3):  # a tilt of 1 rad is no knowledge; yaw is zero by definition
+        for j in range(3):
+            P[6 + i, 6 + j] = (1.0 if i == j else 0.0) - R[2, i] * R[2, j]
+    # `level` leaves no residual but in the length, which speaks of the bias alone.
+    error = np.zeros(15)
+    _update_gravity(error, P, R, corrected - gravity * R[2], variance, gravity)
+    _inject(x, R, P, error)
+
+
+@compiled
+def begin_rest(
+    x: Vector, R: Matrix, P: Matrix, memory: Vector, settings: Vector, dt: float, resting: bool
+) -> None:
+    """Where a rest begins, use the last of what the velocity tells about the other states."""
+    if resting and memory[6] == 0.0:
+        _zero_velocity(x, R, P, white_equivalent(settings[3], settings[2], dt))
+
+
+@compiled
+def update(
+    x: Vector,
+    R: Matrix,
+    P: Matrix,
+    memory: Vector,
+    settings: Vector,
+    dt: float,
+    rate: Vector,
+    force: Vector,
+    rate_density: Vector,
+    force_density: Vector,
+    still: bool,
+    resting: bool,
+) -> None:
+    """Correct x, R and P by what the newest sample tells."""
+    gravity = settings[0]
+    if resting:
+        # What a rest tells of biases and tilt could move the position in retrospect; whoever
+        # looks on would see a standing rig move, so it is only considered.
+        error = np.zeros(15)
+        _update_direct(error, P, 9, rate - x[9:12], rate_density**2 / dt, 3)
+        residual = force - x[12:15] - gravity * R[2]
+        _update_gravity(error, P, R, residual, force_density**2 / dt, gravity)
+        _inject(x, R, P, error)
+        return
+    if dt > OUTAGE:  # level anew what may have been tilted unseen, as at the start
+        error = np.zeros(15)
+        residual = force - x[12:15] - gravity * R[2]
+        variance = force_density**2 / dt + settings[6] ** 2
+        _update_gravity(error, P, R, residual, variance, gravity)
+        _inject(x, R, P, error)
+    if still:
+        roll = settings[15] ** 2 * np.sum((rate - x[9:12]) ** 2)
+        sigma = np.sqrt(settings[1] ** 2 + roll)
+        variance = white_equivalent(sigma, settings[2], dt)
+        if memory[7] > CONFIRMED or _credible(x, P, variance):
+            _zero_velocity(x, R, P, variance)
