@@ -153,7 +153,7 @@ def _propagate(
 
 
 @compiled
-def _step(
+def step_attitude(
     R: Matrix,
     bias: Vector,
     P: Matrix,
@@ -271,4 +271,4 @@ class AttitudeFilter:
             self._memory[:3] = sample.angular_rate
             self._started = True
             return
-        _step(self._R, self._bias, self._P, self._memory, self._settings, *sample)
+        step_attitude(self._R, self._bias, self._P, self._memory, self._settings, *sample)
