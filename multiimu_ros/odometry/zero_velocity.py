@@ -186,7 +186,7 @@ def _passes(
 
 
 @compiled
-def _push(
+def detect(
     samples: Matrix,
     steps: Vector,
     state: Vector,
@@ -263,7 +263,7 @@ class StillnessDetector:
         if not dt > 0:
             msg = f'`dt` must be positive, got {dt}; for the first sample pass the nominal step.'
             raise ValueError(msg)
-        still, resting = _push(
+        still, resting = detect(
             self._samples,
             self._steps,
             self._state,
