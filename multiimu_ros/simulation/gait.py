@@ -3,12 +3,14 @@
 A stride takes about 1.2 s and 1.2 m.  In its first part the foot stands flat and does not move at
 all; then the heel rises, the foot swings forward with its toe down, turns its toe up, strikes and
 comes flat.  The loop goes straight, turns left by 90 deg in three strides, and so on four times;
-every heading has its opposite, hence the strides add up to zero.
+every heading has its opposite, hence the strides add up to zero.  A rough walk strikes harder and
+rolls in its stances (`foot_realism`).
 """
 
 import numpy as np
 
 from multiimu_ros.arrays import Scalars
+from multiimu_ros.simulation.foot_realism import rolling, strikes
 from multiimu_ros.simulation.paths import Path, through
 
 STRIDE_LENGTH = 1.2  # [m]
@@ -20,6 +22,7 @@ HEEL_OFF_PITCH = 0.9  # [rad] toe down, about +y
 STRIKE_PITCH = -0.35  # [rad] toe up
 STRIKE_SHAKE = 1e-4  # [m] amplitude of the vibration after the strike: some 3 m/s^2
 CORNER = np.deg2rad([30.0, 60.0, 90.0])  # headings while turning left
+HEEL_STRIKE = 0.88  # of the swing; the sole is flat at its end, some 90 ms later
 MIN_STRIDES = 4  # fewer cannot turn back into the first heading
 
 
@@ -49,7 +52,9 @@ def headings(strides: int) -> Scalars:
     return np.concatenate((side, np.pi + side))
 
 
-def walk(duration: float, standing: float, rng: np.random.Generator) -> Path:
+def walk(
+    duration: float, standing: float, rng: np.random.Generator, *, rough: bool = False
+) -> Path:
     """Return the path of a foot that stands, walks around its loop, and stands again.
 
     Parameters
@@ -58,6 +63,8 @@ def walk(duration: float, standing: float, rng: np.random.Generator) -> Path:
         Length of the recording, and of the rest at its beginning [s].
     rng : Generator
         Draws the spread from stride to stride.
+    rough : bool
+        Whether the foot strikes and rolls as real ones do.
     """
     path = through([0.0, duration])
     strides = strides_within(duration, standing)
@@ -67,12 +74,18 @@ def walk(duration: float, standing: float, rng: np.random.Generator) -> Path:
     times = STRIDE_TIME * spread[0]
     start = standing + np.concatenate(([0.0], np.cumsum(times)[:-1])) + STANCE_SHARE * times
     swing = (1 - STANCE_SHARE) * times
-    path += _advance(start, swing, headings(strides))
+    heading = headings(strides)
+    path += _advance(start, swing, heading)
     lift = np.outer(LIFT * spread[1], [0.0, 1.0, 0.0])
     path += through(_instants(start, swing, (0.0, 0.45, 0.95)), z=lift.ravel())
     pitch = np.outer(spread[2], [0.0, HEEL_OFF_PITCH, STRIKE_PITCH, 0.0])
     path += through(_instants(start, swing, (0.0, 0.35, 0.8, 1.0)), pitch=pitch.ravel())
-    return path + _strikes(start + 0.95 * swing, rng)
+    if not rough:
+        return path + _strikes(start + 0.95 * swing, rng)
+    flat = start + swing
+    path += strikes(start + HEEL_STRIKE * swing, flat, heading, rng)
+    stood = np.concatenate(([0.0], heading[:-1]))
+    return path + rolling(np.concatenate(([standing], flat[:-1])), start, stood, rng)
 
 
 def _advance(start: Scalars, swing: Scalars, heading: Scalars) -> Path:

@@ -147,6 +147,7 @@ MOTIONS: dict[str, Callable[[float, np.random.Generator], Path]] = {
     'hand': _hand,
     'calibration': _calibration,
     'foot': lambda duration, rng: walk(duration, REST_FIRST, rng),
+    'foot_rough': lambda duration, rng: walk(duration, REST_FIRST, rng, rough=True),
 }
 
 
@@ -158,7 +159,7 @@ def trajectory(
     Parameters
     ----------
     name : str
-        `static`, `turntable`, `slider`, `hand`, `foot` or `calibration`.
+        `static`, `turntable`, `slider`, `hand`, `foot`, `foot_rough` or `calibration`.
     duration : float
         Length of the recording [s]; the motion starts after 4 s and is over in time.
     seed : int
