@@ -1,0 +1,174 @@
+#include "imu.h"
+
+#include <avr/pgmspace.h>
+#include <string.h>
+
+#include "bus.h"
+#include "clock.h"
+#include "config.h"
+
+const uint32_t POWER_UP_US = 20000;  // until the first IMU can answer
+const uint8_t GIVE_UP = 3;           // failed reads in a row
+// Noise repeats all six counts once in a while, but hardly twice in a row.
+const uint8_t REPEATS = 1;
+const uint8_t FROZEN = 50;
+const uint8_t CANDIDATES[] = {0x68, 0x69, 0x29, 0x28};
+
+struct Place {
+  uint8_t channel, address;
+};
+const Place PLACES[] = {IMU_PLACES};
+const uint8_t imu_count = sizeof PLACES / sizeof PLACES[0];
+static_assert(imu_count <= MAX_IMUS, "IMU_PLACES must be at most eight");
+
+Imu imus[MAX_IMUS];
+static bool changed;
+
+void imus_begin() {
+  for (uint8_t k = 0; k < imu_count; k++) {
+    imus[k].channel = PLACES[k].channel;
+    imus[k].temperature = UNKNOWN_TEMPERATURE;
+  }
+}
+
+bool imus_known() {
+  for (uint8_t k = 0; k < imu_count; k++) {
+    if (!imus[k].looked) return false;
+  }
+  return true;
+}
+
+bool imus_changed() {
+  const bool answer = changed;
+  changed = false;
+  return answer;
+}
+
+static void lose(Imu &imu) {
+  imu.state = ABSENT;
+  imu.candidate = 0;
+  imu.temperature = UNKNOWN_TEMPERATURE;
+}
+
+static bool fail(Imu &imu) {
+  imu.failures++;
+  // Where the bus is stuck none can answer; the one that was being read may be the cause.
+  if (++imu.failed_in_row >= GIVE_UP) lose(imu);
+  return false;
+}
+
+// All zero is what registers hold before the first reading.
+static bool is_blank(const int16_t *counts) {
+  int16_t any = 0;
+  for (uint8_t k = 0; k < COUNTS; k++) any |= counts[k];
+  return any == 0;
+}
+
+bool imu_read(Imu &imu) {
+  if (imu.state != READY) return false;
+  if (!bus_is_usable()) {
+    imu.failures++;
+    return false;
+  }
+  int16_t counts[COUNTS];
+  if (!bus_select(imu.channel) || !model_read(imu.model, imu.address, counts)) return fail(imu);
+  if (is_blank(counts)) return fail(imu);
+  imu.failed_in_row = 0;
+  if (memcmp(counts, imu.counts, sizeof counts) != 0) {
+    memcpy(imu.counts, counts, sizeof counts);
+    imu.repeats = 0;
+    return true;
+  }
+  if (++imu.repeats <= REPEATS) return true;
+  imu.failures++;
+  if (imu.repeats == FROZEN) lose(imu);
+  return false;
+}
+
+static void found(Imu &imu, Model model, uint8_t address) {
+  changed |= imu.model != model || imu.address != address;
+  imu.model = model;
+  imu.address = address;
+  imu.state = STARTING;
+  imu.step = 0;
+  imu.waiting = false;
+  imu.due = clock_us();
+}
+
+static void look(Imu &imu, uint8_t only) {
+  const uint8_t address = only != ANY ? only : CANDIDATES[imu.candidate];
+  const Model model = bus_select(imu.channel) ? model_at(address) : UNKNOWN_MODEL;
+  const bool last = only != ANY || ++imu.candidate == sizeof CANDIDATES;
+  if (last) imu.candidate = 0;
+  if (model != UNKNOWN_MODEL) found(imu, model, address);
+  // A bus that is stuck says nothing about what is on it.
+  if (bus_is_usable() && (last || model != UNKNOWN_MODEL)) imu.looked = true;
+}
+
+static Step step_of(const Imu &imu, uint8_t k, uint8_t *count) {
+  ModelInfo info;
+  model_info(imu.model, &info);
+  *count = info.step_count;
+  Step step;
+  memcpy_P(&step, info.steps + k, sizeof step);
+  return step;
+}
+
+// Do one half of a step: write and wait, or verify and go on.
+static void go_on(Imu &imu) {
+  uint8_t count;
+  const Step step = step_of(imu, imu.step, &count);
+  if (!bus_select(imu.channel)) {
+    lose(imu);
+  } else if (!imu.waiting) {
+    if (!step_write(step, imu.address)) return lose(imu);
+    imu.waiting = true;
+    imu.due = clock_us() + step.wait_ms * 1000UL;
+  } else {
+    if (!step_verify(step, imu.address)) return lose(imu);
+    imu.waiting = false;
+    if (++imu.step < count) return;
+    imu.state = READY;
+    imu.step = 0;
+    imu.failed_in_row = imu.repeats = 0;
+  }
+}
+
+// Look whether an IMU is still set as it was: it may have lost its power for a moment.
+static void watch(Imu &imu) {
+  uint8_t count;
+  Step step;
+  do {
+    step = step_of(imu, imu.step, &count);
+    imu.step = imu.step + 1 < count ? imu.step + 1 : 0;
+  } while (!(step.kind & WATCH));
+  if (bus_select(imu.channel) && !step_verify(step, imu.address) && bus_is_usable()) {
+    imu.failures++;
+    lose(imu);
+  }
+}
+
+static void look_after(Imu &imu, uint8_t k, bool at_temperature) {
+  if (imu.state == ABSENT) {
+    look(imu, PLACES[k].address);
+  } else if (imu.state == READY && at_temperature) {
+    if (bus_select(imu.channel)) model_temperature(imu.model, imu.address, &imu.temperature);
+  } else if (imu.state == READY) {
+    watch(imu);
+  }
+}
+
+void imus_tend(bool rested) {
+  static uint8_t next;
+  static bool powered, at_temperature;
+  powered = powered || clock_reached(POWER_UP_US);
+  if (!powered || !bus_is_usable()) return;
+  for (uint8_t k = 0; k < imu_count; k++) {
+    if (imus[k].state == STARTING && clock_reached(imus[k].due)) return go_on(imus[k]);
+  }
+  if (!rested) return;
+  look_after(imus[next], next, at_temperature);
+  if (++next < imu_count) return;
+  next = 0;
+  at_temperature = !at_temperature;
+}

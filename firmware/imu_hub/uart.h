@@ -1,0 +1,25 @@
+// The serial line: whole frames out, whole requests in.  Interrupts move the bytes; nothing waits.
+#pragma once
+
+#include <stdint.h>
+
+#include "packet.h"
+
+void uart_begin();
+
+// Queue a packet; false where there is no room.
+bool uart_send(const uint8_t *packet, uint8_t length);
+
+// Queue a packet before all that wait; false while another such waits.
+bool uart_send_first(const uint8_t *packet, uint8_t length);
+
+const uint8_t MAX_REQUEST = 16;  // [bytes] the longest, stuffed, has 11
+
+struct Request {
+  uint8_t bytes[MAX_REQUEST];
+  uint8_t length;       // without the final zero
+  uint32_t arrived_us;  // when the zero came
+};
+
+// Take the oldest request; false where there is none.
+bool uart_receive(Request *request);

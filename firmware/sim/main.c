@@ -1,0 +1,119 @@
+// imu_hub_sim: runs the compiled sketch on an emulated board.
+//
+//   imu_hub_sim SKETCH.elf SCRIPT [--report FILE] > BYTES     as fast as it goes, the same each time
+//   imu_hub_sim SKETCH.elf SCRIPT --port LINK [--report FILE]   in real time, on a pseudo-terminal
+#include <math.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "script.h"
+#include "sim.h"
+
+#define SLICE 1e-3  // [s] of the real-time run
+
+static const char *port;
+static uint8_t said[4096];  // since the last look at the port
+static int said_count;
+static volatile sig_atomic_t interrupted;
+
+void spoken(uint8_t byte) {
+  totals.bytes++;
+  if (!port) {
+    putchar(byte);
+  } else if (said_count < (int)sizeof said) {
+    said[said_count++] = byte;
+  }
+}
+
+static void on_signal(int number) {
+  (void)number;
+  interrupted = 1;
+}
+
+static double monotonic(void) {
+  struct timespec now;
+  clock_gettime(CLOCK_MONOTONIC, &now);
+  return now.tv_sec + 1e-9 * now.tv_nsec;
+}
+
+static void sleep_until(double instant) {
+  const struct timespec time = {(time_t)instant, (long)(fmod(instant, 1) * 1e9)};
+  clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &time, NULL);
+}
+
+static void run_script(void) {
+  while (isfinite(script_next())) {
+    board_run_until(script_next());
+    if (!script_act()) return;
+  }
+}
+
+// Run until the instant, with what happens before it; false at the end of the script.
+static bool run_slice(double end) {
+  while (script_next() <= end) {
+    board_run_until(script_next());
+    if (!script_act()) return false;
+  }
+  board_run_until(end);
+  return true;
+}
+
+static void exchange(void) {
+  uint8_t bytes[512];
+  if (port_is_read()) port_write(said, said_count);
+  said_count = 0;
+  uart_hear(bytes, port_read(bytes, sizeof bytes));
+}
+
+// Time begins when the port is first opened; each opening resets the controller, as the Mega does.
+static void run_port(void) {
+  while (!port_is_read() && !interrupted) sleep_until(monotonic() + 10 * SLICE);
+  const double start = monotonic();
+  struct timespec opened;
+  clock_gettime(CLOCK_REALTIME, &opened);
+  totals.opened_ns = opened.tv_sec * 1000000000LL + opened.tv_nsec;
+  bool was_read = true;
+  for (double end = SLICE; !interrupted; end += SLICE) {
+    const bool is_read = port_is_read();
+    if (is_read && !was_read) {
+      totals.resets++;
+      board_reset();
+    }
+    was_read = is_read;
+    if (!run_slice(end)) break;
+    exchange();
+    sleep_until(start + end);
+  }
+  // Closing throws away what has not been read yet.
+  for (int k = 0; k < 200 && port_is_read() && !interrupted; k++) sleep_until(monotonic() + 0.01);
+  port_close();
+}
+
+int main(int count, char **arguments) {
+  const char *report_path = NULL;
+  for (int k = 3; k + 1 < count; k += 2) {
+    if (strcmp(arguments[k], "--report") == 0) report_path = arguments[k + 1];
+    if (strcmp(arguments[k], "--port") == 0) port = arguments[k + 1];
+  }
+  if (count < 3 || count % 2 == 0) {
+    fprintf(stderr, "usage: imu_hub_sim SKETCH.elf SCRIPT [--port LINK] [--report FILE]\n");
+    return 2;
+  }
+  script_load(arguments[2]);
+  board_load(arguments[1]);
+  signal(SIGINT, on_signal);
+  signal(SIGTERM, on_signal);
+  if (!port) {
+    run_script();
+  } else if (port_open(port)) {
+    run_port();
+  } else {
+    fprintf(stderr, "Cannot make a port at `%s`.\n", port);
+    return 2;
+  }
+  report(report_path);
+  return 0;
+}
