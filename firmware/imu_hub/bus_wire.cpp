@@ -18,7 +18,12 @@ void port_end() {
   Wire.end();
 }
 
+// A time-out at the final STOP is in the flag only: the call itself would report success.
 static BusResult judge(uint8_t code) {
+  if (Wire.getWireTimeoutFlag()) {
+    Wire.clearWireTimeoutFlag();
+    return BUS_STUCK;
+  }
   if (code == 0) return BUS_OK;
   return code == 2 || code == 3 ? BUS_REFUSED : BUS_STUCK;
 }
@@ -32,12 +37,12 @@ BusResult port_write(uint8_t address, const uint8_t *bytes, uint8_t count) {
 BusResult port_read(uint8_t address, uint8_t from, uint8_t *into, uint8_t count) {
   Wire.beginTransmission(address);
   Wire.write(from);
-  const BusResult result = judge(Wire.endTransmission(false));
+  BusResult result = judge(Wire.endTransmission(false));
   if (result != BUS_OK) return result;
-  Wire.clearWireTimeoutFlag();
-  if (Wire.requestFrom(address, count) != count) {
-    return Wire.getWireTimeoutFlag() ? BUS_STUCK : BUS_REFUSED;
-  }
+  const uint8_t came = Wire.requestFrom(address, count);
+  result = judge(0);
+  if (result != BUS_OK) return result;
+  if (came != count) return BUS_REFUSED;
   for (uint8_t k = 0; k < count; k++) into[k] = Wire.read();
   return BUS_OK;
 }

@@ -8,7 +8,8 @@
 #include "config.h"
 
 const uint32_t POWER_UP_US = 20000;  // until the first IMU can answer
-const uint8_t GIVE_UP = 3;           // failed reads in a row
+const uint32_t RETRY_US = 10000;     // of a step that failed
+const uint8_t GIVE_UP = 3;           // failures in a row
 // Noise repeats all six counts once in a while, but hardly twice in a row.
 const uint8_t REPEATS = 1;
 const uint8_t FROZEN = 50;
@@ -91,6 +92,7 @@ static void found(Imu &imu, Model model, uint8_t address) {
   imu.address = address;
   imu.state = STARTING;
   imu.step = 0;
+  imu.failed_in_row = 0;
   imu.waiting = false;
   imu.due = clock_us();
 }
@@ -114,38 +116,50 @@ static Step step_of(const Imu &imu, uint8_t k, uint8_t *count) {
   return step;
 }
 
-// Do one half of a step: write and wait, or verify and go on.
+// Do one half of a step: write and wait, or look whether it was taken.
+static bool do_half(const Imu &imu, const Step &step) {
+  if (!bus_select(imu.channel)) return false;
+  if (!imu.waiting) return step_write(step, imu.address);
+  if (!(step.kind & VERIFY)) return true;
+  uint8_t value;
+  return step_read(step, imu.address, &value) && value == step.value;
+}
+
 static void go_on(Imu &imu) {
   uint8_t count;
   const Step step = step_of(imu, imu.step, &count);
-  if (!bus_select(imu.channel)) {
-    lose(imu);
-  } else if (!imu.waiting) {
-    if (!step_write(step, imu.address)) return lose(imu);
-    imu.waiting = true;
-    imu.due = clock_us() + step.wait_ms * 1000UL;
-  } else {
-    if (!step_verify(step, imu.address)) return lose(imu);
-    imu.waiting = false;
-    if (++imu.step < count) return;
-    imu.state = READY;
-    imu.step = 0;
-    imu.failed_in_row = imu.repeats = 0;
+  if (!do_half(imu, step)) {
+    if (++imu.failed_in_row >= GIVE_UP) return lose(imu);
+    imu.waiting = false;  // once more, from its beginning
+    imu.due = clock_us() + RETRY_US;
+    return;
   }
+  imu.waiting = !imu.waiting;
+  if (imu.waiting) {
+    imu.due = clock_us() + step.wait_ms * 1000UL;
+    return;
+  }
+  imu.failed_in_row = 0;
+  if (++imu.step < count) return;
+  imu.state = READY;
+  imu.step = 0;
+  // What it repeated before its start is still nothing new.
+  if (imu.repeats > REPEATS) imu.repeats = REPEATS;
 }
 
 // Look whether an IMU is still set as it was: it may have lost its power for a moment.
 static void watch(Imu &imu) {
-  uint8_t count;
+  uint8_t count, value;
   Step step;
   do {
     step = step_of(imu, imu.step, &count);
     imu.step = imu.step + 1 < count ? imu.step + 1 : 0;
   } while (!(step.kind & WATCH));
-  if (bus_select(imu.channel) && !step_verify(step, imu.address) && bus_is_usable()) {
-    imu.failures++;
-    lose(imu);
-  }
+  // One that does not answer is noticed by the scans.
+  if (!bus_select(imu.channel) || !step_read(step, imu.address, &value)) return;
+  if (value == step.value) return;
+  imu.failures++;
+  lose(imu);
 }
 
 static void look_after(Imu &imu, uint8_t k, bool at_temperature) {

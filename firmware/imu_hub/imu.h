@@ -16,7 +16,7 @@ struct Imu {
   bool looked;             // all addresses have been tried
   uint8_t candidate;       // address that is tried next
   uint8_t step;            // of the start
-  bool waiting;            // for what the step did
+  bool waiting;            // the step is written, not yet verified
   uint8_t failed_in_row;
   uint8_t repeats;         // of one reading
   uint16_t failures;       // modulo 2^16

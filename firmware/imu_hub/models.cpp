@@ -191,6 +191,6 @@ bool step_write(const Step &step, uint8_t address) {
   return !(step.kind & WRITE) || bus_write(chip(step, address), step.reg, step.value);
 }
 
-bool step_verify(const Step &step, uint8_t address) {
-  return !(step.kind & VERIFY) || reads(chip(step, address), step.reg, step.value);
+bool step_read(const Step &step, uint8_t address, uint8_t *value) {
+  return bus_read(chip(step, address), step.reg, value, 1);
 }

@@ -43,6 +43,6 @@ bool model_read(Model model, uint8_t address, int16_t *counts);
 // Read the temperature [0.01 Celsius].
 bool model_temperature(Model model, uint8_t address, int16_t *centi);
 
-// Do one step, or look at what it set.
+// Do the writing of a step; read what is in its register now.
 bool step_write(const Step &step, uint8_t address);
-bool step_verify(const Step &step, uint8_t address);
+bool step_read(const Step &step, uint8_t address, uint8_t *value);
