@@ -6,7 +6,7 @@ those of docs/derivations/smoother.md.
 
 import numpy as np
 
-from multiimu_ros.arrays import Matrix, Vector
+from multiimu_ros.arrays import Flags, Matrix, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.error_dynamics import predict, remember
 from multiimu_ros.odometry.error_updates import begin_rest, update
@@ -72,7 +72,7 @@ def run_forward(
     settings: Vector,
     steps: Vector,
     readings: Matrix,
-    flags: Matrix,
+    flags: Flags,
     tape_x: Matrix,
     tape_R: Matrix,
     tape_P: Matrix,
