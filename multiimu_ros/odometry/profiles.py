@@ -32,7 +32,7 @@ class Profile:
     zero_velocity_time: float
     rolling_arm: float
     motion_sigma: float
-    motion_time: float
+    motion_reach: float
     motion_velocity_sigma: float
     rate_scale_sigma: float
     force_scale_sigma: float
@@ -52,7 +52,7 @@ FOOT = Profile(
     zero_velocity_time=0.01,  # a tremor of 15 Hz
     rolling_arm=0.1,  # ankle or laces to the ball or heel on which the foot rolls
     motion_sigma=5.0,  # rms of a swing phase
-    motion_time=0.1,  # a swing speeds up and slows down within 0.4 s
+    motion_reach=0.4,  # within a stride of 1.4 m
     motion_velocity_sigma=1.5,  # mean over a stride of a walk at 1.4 m/s
     rate_scale_sigma=0.01,  # a stride at 5 rad/s: scale, saturation, g-sensitivity
     force_scale_sigma=0.03,  # strikes of 50 m/s^2 outrun the bandwidth of a cheap IMU
@@ -69,7 +69,7 @@ HAND = Profile(
     zero_velocity_time=0.05,
     rolling_arm=0.0,  # it does not roll
     motion_sigma=0.5,  # slow handling; fast handling is seen in | |f| - g |
-    motion_time=0.2,  # a hand reverses about once a second, omega = 6 rad/s
+    motion_reach=0.1,  # an arm sways by a decimetre or two
     motion_velocity_sigma=0.5,
     rate_scale_sigma=0.0,
     force_scale_sigma=0.0,
@@ -86,7 +86,7 @@ VEHICLE = Profile(
     zero_velocity_time=0.2,
     rolling_arm=0.0,
     motion_sigma=1.0,  # braking and turning, most of it level and unseen in | |f| - g |
-    motion_time=2.0,  # a manoeuvre lasts seconds
+    motion_reach=100.0,  # 10 m/s that end after 10 s
     motion_velocity_sigma=10.0,
     rate_scale_sigma=0.0,
     force_scale_sigma=0.0,
@@ -137,7 +137,9 @@ def odometry_configs(
         rate_bias_walk=rate_bias_walk,
         motion_sigma=profile.motion_sigma,
         still_sigma=profile.still_force_sigma,
-        motion_time=profile.motion_time,
+        motion_reach=profile.motion_reach,
+        still_time=profile.zero_velocity_time,
+        rate_scale_sigma=profile.rate_scale_sigma,
         gravity=gravity,
     )
     odometry = ErrorStateConfig(

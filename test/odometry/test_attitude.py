@@ -20,7 +20,8 @@ CONFIG = AttitudeConfig(
     rate_bias_walk=np.full(3, 4e-6),
     motion_sigma=0.5,
     still_sigma=0.03,
-    motion_time=0.2,
+    motion_reach=0.1,
+    still_time=0.05,
 )
 
 
@@ -58,7 +59,7 @@ def test_tilt_never_claims_more_than_the_accelerometer_bias_allows(rng):
     tilt = np.sqrt(np.diag(attitude.P))[:2]
     assert_allclose(tilt, 0.03 / G, rtol=0.03)
     # Considered, never estimated: even the vertical part, which |f| would show, stays unknown.
-    assert_allclose(attitude._P[6:, 6:], 0.03**2 * np.eye(3), atol=1e-12)
+    assert_allclose(attitude._P[9:, 9:], 0.03**2 * np.eye(3), atol=1e-12)
 
 
 def test_yaw_variance_grows_in_motion_and_stops_at_rest(rng):

@@ -1,0 +1,218 @@
+"""Compiled kernels of the attitude filter; `attitude.py` tells the idea.
+
+The error (12,) is (attitude, gyro bias, velocity, force bias), the last only considered (Schmidt).
+Equations and their numbers are those of docs/derivations/attitude.md.
+"""
+
+import numpy as np
+
+from multiimu_ros.arrays import Matrix, Vector
+from multiimu_ros.compiled import compiled
+from multiimu_ros.odometry.kalman import (
+    propagate,
+    scalar_update,
+    transform_block,
+    white_equivalent,
+)
+from multiimu_ros.odometry.strapdown import curvature, increments
+from multiimu_ros.rotations import exp_so3, product, renormalise, right_jacobian, skew
+
+OUTAGE = 0.2  # [s] after longer ones the readings at the two ends have nothing in common
+GAP = 0.05  # [s] longer steps hide motion: 20 Hz is the slowest IMU that we call one
+RADIAL_TIME = 1.0  # [s] memory of how strongly the rig accelerates
+SIZE = 12  # of the error
+ESTIMATED = 9  # of its entries
+
+
+@compiled
+def level(specific_force: Vector) -> Matrix:
+    """Return the (3, 3) attitude of yaw zero in which `specific_force` (3,) points up."""
+    up = specific_force / np.sqrt(np.sum(specific_force**2))
+    # The body's x axis, made horizontal, is north; looking straight up, its y axis leads instead.
+    forward = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.999 else np.array([0.0, 1.0, 0.0])
+    forward = forward - np.sum(forward * up) * up
+    forward /= np.sqrt(np.sum(forward**2))
+    R = np.empty((3, 3))
+    R[0], R[2] = forward, up
+    R[1] = np.array(
+        [
+            up[1] * forward[2] - up[2] * forward[1],
+            up[2] * forward[0] - up[0] * forward[2],
+            up[0] * forward[1] - up[1] * forward[0],
+        ]
+    )
+    return R
+
+
+@compiled
+def _gravity_update(
+    R: Matrix, error: Vector, P: Matrix, force: Vector, gravity: float, variance: Vector
+) -> None:
+    """Correct by force = R' g + force bias + noise of `variance` (3,)."""
+    expected = gravity * R[2]
+    h = np.zeros((3, SIZE))
+    h[:, :3] = skew(expected)
+    for axis in range(3):
+        h[axis, ESTIMATED + axis] = 1.0
+        residual = force[axis] - expected[axis]
+        scalar_update(error, P, h[axis], residual, variance[axis], 0, ESTIMATED)
+
+
+@compiled
+def _update_direct(
+    error: Vector, P: Matrix, measured: int, residual: Vector, variance: Vector
+) -> None:
+    """Correct by seeing three states, from `measured` on."""
+    for axis in range(3):
+        h = np.zeros(SIZE)
+        h[measured + axis] = 1.0
+        scalar_update(error, P, h, residual[axis], variance[axis], 0, ESTIMATED)
+
+
+@compiled
+def align(R: Matrix, P: Matrix, force: Vector, variance: Vector, gravity: float) -> None:
+    """Level the attitude by a force whose noise and motion have `variance` (3,)."""
+    R[:] = level(force)
+    P[:3, :] = 0.0
+    P[:, :3] = 0.0
+    # A tilt of 1 rad is no knowledge; yaw is zero by definition.
+    for i in range(3):
+        for j in range(3):
+            P[i, j] = (1.0 if i == j else 0.0) - R[2, i] * R[2, j]
+    error = np.zeros(SIZE)
+    # The direction is exact to first order, so only the covariance needs the update.
+    length = np.sqrt(np.sum(force**2))
+    _gravity_update(R, error, P, force * (gravity / length), gravity, variance)
+
+
+@compiled
+def _set_velocity(velocity: Vector, P: Matrix, variance: float) -> None:
+    """Set the velocity to zero, with that variance."""
+    velocity[:] = 0.0
+    P[6:9, :] = 0.0
+    P[:, 6:9] = 0.0
+    for axis in range(6, 9):
+        P[axis, axis] = variance
+
+
+@compiled
+def _advance(
+    R: Matrix,
+    bias: Vector,
+    P: Matrix,
+    memory: Vector,
+    settings: Vector,
+    dt: float,
+    rate: Vector,
+    force: Vector,
+    rate_psd: Vector,
+    force_psd: float,
+) -> None:
+    """Turn and speed up over one step (attitude.md (3), (6)); noise is [rad^2/s], [m^2/s^3]."""
+    bend = curvature(memory[4:7], memory[:3], rate, memory[7], dt) - bias
+    if dt > OUTAGE:
+        bend = -bias
+    phi, dv, _ = increments(memory[:3] + bend, memory[8:11], rate + bend, force, dt)
+    F = np.eye(SIZE)
+    F[:3, :3] = exp_so3(-phi)
+    F[:3, 3:6] = -dt * right_jacobian(phi)
+    F[6:9, :3] = -product(R, skew(dv))
+    F[6:9, 9:12] = -dt * R
+    propagate(P, F)
+    for i in range(3):
+        walk = settings[6 + i] ** 2
+        P[i, i] += rate_psd[i] * dt + walk * dt**3 / 3.0
+        P[i, 3 + i] -= walk * dt**2 / 2.0
+        P[3 + i, i] -= walk * dt**2 / 2.0
+        P[3 + i, 3 + i] += walk * dt
+        P[6 + i, 6 + i] += force_psd * dt
+        memory[11 + i] += R[i, 0] * dv[0] + R[i, 1] * dv[1] + R[i, 2] * dv[2]
+    memory[13] -= settings[5] * dt
+    R[:] = renormalise(product(R, exp_so3(phi)))
+
+
+@compiled
+def _correct_moving(
+    R: Matrix,
+    error: Vector,
+    P: Matrix,
+    memory: Vector,
+    settings: Vector,
+    dt: float,
+    force: Vector,
+    white: Vector,
+    still: bool,
+    sigma: float,
+) -> None:
+    """Use that the velocity of a rig that accelerates by `sigma` is bounded (attitude.md (7))."""
+    velocity, reach, gravity = memory[11:14], settings[9], settings[5]
+    if dt > OUTAGE:  # level anew what may have been tilted unseen, as at the start
+        _set_velocity(velocity, P, sigma * reach)
+        _gravity_update(R, error, P, force, gravity, white + sigma**2)
+        return
+    if still:
+        tremor = white_equivalent(settings[1], settings[2], dt)
+        _gravity_update(R, error, P, force, gravity, white + tremor)
+    variance = white_equivalent(np.sqrt(sigma * reach), np.sqrt(reach / sigma), dt)
+    _update_direct(error, P, 6, -velocity, np.full(3, variance))
+
+
+@compiled
+def _rest(
+    bias: Vector,
+    error: Vector,
+    P: Matrix,
+    memory: Vector,
+    settings: Vector,
+    dt: float,
+    rate: Vector,
+    variance: Vector,
+) -> None:
+    """Hold the attitude, and learn the bias from a rate with noise of `variance` (3,)."""
+    _set_velocity(memory[11:14], P, 0.0)
+    for axis in range(3):
+        P[axis, axis] += settings[4] ** 2 * dt
+        P[3 + axis, 3 + axis] += settings[6 + axis] ** 2 * dt
+    _update_direct(error, P, 3, rate - bias, variance)
+
+
+@compiled
+def step_attitude(
+    R: Matrix,
+    bias: Vector,
+    P: Matrix,
+    memory: Vector,
+    settings: Vector,
+    dt: float,
+    rate: Vector,
+    force: Vector,
+    rate_density: Vector,
+    force_density: Vector,
+    still: bool,
+    resting: bool,
+) -> None:
+    """Take one sample.
+
+    `memory` (14,): last rate, mean square of |f| - g, rate before, last dt, last force, velocity.
+    """
+    error = np.zeros(SIZE)
+    white = force_density**2 / dt
+    radial = np.sqrt(np.sum(force**2)) - settings[5]
+    memory[3] += dt / (RADIAL_TIME + dt) * (radial * radial - memory[3])
+    if resting:
+        _rest(bias, error, P, memory, settings, dt, rate, rate_density**2 / dt)
+        _gravity_update(R, error, P, force, settings[5], white)
+    else:
+        sigma = max(settings[0], np.sqrt(memory[3]))
+        hidden = max(0.0, dt - GAP) ** 2 / dt
+        turning = 2.0 * np.sqrt(settings[9] / sigma) * np.sum((rate - bias) ** 2)
+        rate_psd = rate_density**2 + (hidden * settings[3] ** 2 + turning * settings[10] ** 2)
+        force_psd = np.mean(force_density**2) + hidden * settings[0] ** 2
+        _advance(R, bias, P, memory, settings, dt, rate, force, rate_psd, force_psd)
+        _correct_moving(R, error, P, memory, settings, dt, force, white, still, sigma)
+    R[:] = renormalise(product(R, exp_so3(error[:3])))  # (8)
+    bias += error[3:6]
+    memory[11:14] += error[6:9]
+    transform_block(P, exp_so3(-error[:3]), 0)
+    memory[4:7], memory[7] = memory[:3], dt
+    memory[:3], memory[8:11] = rate, force
