@@ -14,7 +14,8 @@ const uint8_t STARTED = 0x08, STARTED_AGAIN = 0x10;
 const uint8_t WRITE_HEARD = 0x18, BYTE_HEARD = 0x28, READ_HEARD = 0x40;
 const uint8_t BYTE_CAME = 0x50, LAST_BYTE_CAME = 0x58;
 const uint8_t BUS_ERROR = 0x00, ARBITRATION_LOST = 0x38;
-const uint16_t PATIENCE = BUS_PATIENCE_US / 1000 * (F_CPU / 1000 / 10);  // turns of about 10 cycles
+// In turns of a loop, of about ten cycles.
+const uint16_t PATIENCE = BUS_PATIENCE_US / 1000 * (F_CPU / 1000 / 10);
 
 void port_begin() {
   TWSR = 0;

@@ -1,4 +1,4 @@
-// What the two drivers of the AVR's two-wire interface have in common: bus_wire.cpp, bus_polled.cpp.
+// What both drivers of the two-wire interface have in common: bus_wire.cpp, bus_polled.cpp.
 #pragma once
 
 #include <stdint.h>

@@ -1,7 +1,7 @@
-// What a user may want to change.  Each value can also be given to the compiler (-DSCAN_RATE_HZ=200).
+// What a user may want to change.  All of it can be given to the compiler: -DSCAN_RATE_HZ=200.
 #pragma once
 
-// Readings of all IMUs a second [Hz]; the README of the rates is docs/firmware.md.
+// Readings of all IMUs a second [Hz]; docs/firmware.md says how many are possible.
 #ifndef SCAN_RATE_HZ
 #define SCAN_RATE_HZ 100
 #endif
@@ -24,7 +24,7 @@
 #define BAUD 500000
 #endif
 
-// The multiplexer: its address (0x70-0x77), and the pin at its RESET, or -1 where that is not wired.
+// The multiplexer: its address (0x70-0x77), and the pin at its RESET, or -1 if that is not wired.
 #ifndef MUX_ADDRESS
 #define MUX_ADDRESS 0x70
 #endif
@@ -33,8 +33,8 @@
 #endif
 
 // Where the IMUs are, in the order imu0, imu1 ...: at most eight times {channel, address}.
-// Channel NO_MUX is the bus itself; address ANY takes whatever answers on that channel.  Two on one
-// channel must be given their addresses: {0, 0x68}, {0, 0x69}.
+// Channel NO_MUX is the bus itself; address ANY takes whatever answers on that channel.  Two on
+// one channel must be given their addresses: {0, 0x68}, {0, 0x69}.
 #define NO_MUX 255
 #define ANY 0
 #ifndef IMU_PLACES

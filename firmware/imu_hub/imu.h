@@ -39,6 +39,6 @@ bool imus_changed();
 // Read one IMU into its `counts`; false where there is nothing new.
 bool imu_read(Imu &imu);
 
-// Do at most one short thing for one IMU.  `rested` says that a scan has passed since the last call
-// which said so: what is not urgent happens once a scan.
+// Do at most one short thing for one IMU.  `rested` says that a scan has passed since the last
+// call which said so: what is not urgent happens once a scan.
 void imus_tend(bool rested);

@@ -1,5 +1,5 @@
 // Reads one to eight IMUs behind a TCA9548A and sends what they say; docs/firmware.md.
-// Nothing here waits: a scan is read when it is due, and what else there is to do comes in between.
+// Nothing here waits: a scan is read when it is due, and all else comes in between.
 #include <Wire.h>
 
 #include "bus.h"

@@ -28,7 +28,7 @@ static_assert(FORCE_RANGE_G == 2 || FORCE_RANGE_G == 4 || FORCE_RANGE_G == 8 ||
                   FORCE_RANGE_G == 16,
               "FORCE_RANGE_G must be 2, 4, 8 or 16");
 
-// All are told to sample at 200 to 500 Hz with a bandwidth of about 40 Hz: each scan reads something
+// All that can sample at 200 to 500 Hz with a bandwidth of about 40 Hz: each scan reads something
 // new, and little noise folds down from above half the rate of 100 Hz.
 
 // Bosch BST-BMI160-DS000-07, section 2.11 (registers), tables 2 and 3 (start-up times, scales)
@@ -43,7 +43,7 @@ const Step BMI160_STEPS[] PROGMEM = {
     {0x03, 0x14, VERIFY | WATCH, 0},                 // PMU_STATUS: both in normal mode
 };
 
-// InvenSense RM-MPU-9250A-00 rev. 1.4, pages 9 and 12-14; PS-MPU-9250A-01 rev. 1.0, pages 8 and 12
+// InvenSense RM-MPU-9250A-00 rev. 1.4, pages 9, 12-14; PS-MPU-9250A-01 rev. 1.0, pages 8, 12
 const Step MPU9250_STEPS[] PROGMEM = {
     {0x6B, 0x80, COMMAND, 105},                  // PWR_MGMT_1: reset; 100 ms
     {0x6B, 0x01, SET, 40},                       // clock from the gyroscopes' PLL; 35 ms

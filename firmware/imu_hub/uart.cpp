@@ -1,4 +1,4 @@
-// USART 0, which the Mega's USB chip is connected to; the core's Serial would block when it is full.
+// USART 0, which the Mega's USB chip is connected to; the core's Serial blocks when it is full.
 #pragma GCC optimize("O2")  // the IDE optimises for size
 
 #include "uart.h"

@@ -1,6 +1,6 @@
-// Bosch BMI160, BST-BMI160-DS000-07 rev. 0.8: section 2.11 (registers; temperature page 54), table 2
-// (accelerometer) and table 3 (gyroscope) for scales and start-up times, the I2C timing table for
-// the idle time after writes.  Power-up and reset times are those of common drivers.
+// Bosch BMI160, BST-BMI160-DS000-07 rev. 0.8: section 2.11 (registers; temperature page 54), table
+// 2 (accelerometer) and table 3 (gyroscope) for scales and start-up times, the I2C timing table
+// for the idle time after writes.  Power-up and reset times are those of common drivers.
 #include <math.h>
 
 #include "device.h"

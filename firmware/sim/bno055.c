@@ -1,6 +1,6 @@
-// Bosch BNO055, BST-BNO055-DS000-14 rev. 1.4: page 21 (modes, switching times), pages 27-28 (settings
-// of the sensors), page 33 (16 counts a deg/s), page 53 (data registers, CHIP_ID), page 91 (clock
-// stretching, addresses).
+// Bosch BNO055, BST-BNO055-DS000-14 rev. 1.4: page 21 (modes, switching times), pages 27-28
+// (settings of the sensors), page 33 (16 counts a deg/s), page 53 (data registers, CHIP_ID), page
+// 91 (clock stretching, addresses).
 #include <math.h>
 
 #include "device.h"

@@ -1,6 +1,6 @@
 // Transactions on the bus: who is reached through the TCA9548A, who answers, what passes.
-// TCA9548A, Texas Instruments SCPS207, section 8.6: one control byte, bit n connects channel n, after
-// STOP; several may be connected; none after power-up or RESET.
+// TCA9548A, Texas Instruments SCPS207, section 8.6: one control byte, bit n connects channel n,
+// after STOP; several may be connected; none after power-up or RESET.
 #include "device.h"
 
 #define MUX_ADDRESS 0x70

@@ -1,5 +1,5 @@
-// SDA and SCL as wires: the sketch may move them by hand (pins 20 and 21 of the Mega, PD1 and PD0),
-// and a fault may hold SDA low.
+// SDA and SCL as wires: the sketch may move them by hand (pins 20 and 21 of the Mega, PD1 and
+// PD0), and a fault may hold SDA low.
 #include <simavr/avr_ioport.h>
 
 #include "sim.h"

@@ -1,6 +1,6 @@
 // imu_hub_sim: runs the compiled sketch on an emulated board.
 //
-//   imu_hub_sim SKETCH.elf SCRIPT [--report FILE] > BYTES     as fast as it goes, the same each time
+//   imu_hub_sim SKETCH.elf SCRIPT [--report FILE] > BYTES       fast, and the same each time
 //   imu_hub_sim SKETCH.elf SCRIPT --port LINK [--report FILE]   in real time, on a pseudo-terminal
 #include <math.h>
 #include <signal.h>

@@ -1,6 +1,6 @@
-// InvenSense MPU-9250 and MPU-9255.  Registers: RM-MPU-9250A-00 rev. 1.4, page 9 (map, reset values),
-// pages 12-14 (rate, filters, ranges), page 44 (WHO_AM_I).  Times, scales, temperature:
-// PS-MPU-9250A-01 rev. 1.0, page 8 (gyroscope), page 12 (start-up, 333.87 counts a Celsius from 21).
+// InvenSense MPU-9250 and MPU-9255.  Registers: RM-MPU-9250A-00 rev. 1.4, page 9 (map, reset
+// values), pages 12-14 (rate, filters, ranges), page 44 (WHO_AM_I).  Times, scales, temperature:
+// PS-MPU-9250A-01 rev. 1.0, page 8 (gyroscope), page 12 (start-up; 333.87 counts a Celsius).
 #include <math.h>
 
 #include "device.h"

@@ -68,8 +68,8 @@ void report(const char *path) {
   fprintf(file, "{\n");
   print(file, "violations", &violations);
   print(file, "contentions", &contentions);
-  fprintf(file, "  \"seconds\": %.6f,\n  \"bytes\": %ld,\n  \"dropped_bytes\": %ld,\n", board_now(),
-          totals.bytes, totals.dropped_bytes);
+  fprintf(file, "  \"seconds\": %.6f,\n  \"bytes\": %ld,\n  \"dropped_bytes\": %ld,\n",
+          board_now(), totals.bytes, totals.dropped_bytes);
   fprintf(file, "  \"transactions\": %ld,\n  \"refused\": %ld,\n  \"resets\": %ld,\n",
           totals.transactions, totals.refused, totals.resets);
   fprintf(file, "  \"overrun_bytes\": %ld,\n  \"opened_ns\": %lld\n}\n", totals.overrun_bytes,

@@ -3,7 +3,7 @@
 //   imu 0 bmi160 0 0x68          number, type, channel (255: none), address
 //   motion counter               or formula, or csv PATH with %d for the number of the IMU
 //   skew 3000                    by how much the controller's clock is fast [ppm]
-//   at 1.5 dead 0                IMU 0 no longer answers; alive 0: plugged in again, as after power-up
+//   at 1.5 dead 0                IMU 0 no longer answers; alive 0: plugged in again, unset
 //   at 1.5 brownout 0            it lost its power for a moment
 //   at 1.5 freeze 0              it repeats its data; thaw 0
 //   at 1.5 refuse 0 7            it ignores every seventh address; 0: none

@@ -1,6 +1,6 @@
 // The two chips of DFRobot's SEN0140.
-// Analog Devices ADXL345, rev. D: page 13 (power), pages 23-27 (registers), table 1 (256 counts a g,
-// turn-on time 1.1 ms + 1 / rate).
+// Analog Devices ADXL345, rev. D: page 13 (power), pages 23-27 (registers), table 1 (256 counts a
+// g, turn-on time 1.1 ms + 1 / rate).
 // InvenSense ITG-3200, PS-ITG-3200A-00-01.4: page 7 (scale, start-up 50 ms, temperature), page 18
 // (addresses, 400 kHz), pages 22-27 (registers; FS_SEL must be 3).
 #include <math.h>

@@ -1,5 +1,5 @@
-// The emulated board: what its parts know of each other.  Times are real time [s] since power came;
-// the controller's own clock is off by `skew`.
+// The emulated board: what its parts know of each other.  Times are real time [s] since power
+// came; the controller's own clock is off by `skew`.
 #pragma once
 
 #include <simavr/sim_avr.h>

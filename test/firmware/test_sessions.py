@@ -1,0 +1,105 @@
+"""Scripted sessions of the compiled sketch: every scan comes, and says what the sensors held."""
+
+from emulated_hub import assert_clean, assert_exact, bmi160s, FAST, run, script
+import numpy as np
+import pytest
+
+from multiimu_ros.wire.packets import ASKED, BOOT, MODELS
+
+SECONDS = 2.0
+STARTED_S = 0.25  # BMI160s measure since then: reset 20 ms, gyroscope 85 ms, looking for them
+MIXED = [
+    ('bmi160', 0, 0x68),
+    ('mpu9250', 1, 0x68),
+    ('bno055', 2, 0x29),
+    ('sen0140', 3, 0x68),
+    ('mpu9255', 4, 0x69),
+]
+
+
+def intervals_us(session):
+    return np.diff([scan.ticks_us for scan in session.scans])
+
+
+def assert_complete(session, count, rate_hz, *, since_s):
+    scans = [scan for scan in session.scans if scan.ticks_us > 1e6 * since_s]
+    assert all(sorted(scan.imus) == list(range(count)) for scan in scans)
+    # A scan is missing at neither end: the first waits for HELLO, the last is on the line.
+    assert len(scans) >= (SECONDS - since_s) * rate_hz - 2
+    assert np.mean(intervals_us(session)) == pytest.approx(1e6 / rate_hz, rel=1e-3)
+
+
+@pytest.mark.parametrize('count', [1, 2, 4, 8])
+def test_every_scan_at_100_hz_is_exact(tmp_path, count):
+    imus = bmi160s(count)
+    session = run(tmp_path, script(imus, seconds=SECONDS))
+    assert_clean(session)
+    assert_exact(session, imus)
+    assert_complete(session, count, 100, since_s=STARTED_S)
+    # Whatever comes in between delays a scan by less than it may take.
+    assert np.abs(intervals_us(session) - 10_000).max() < 600
+
+
+def test_the_fast_backend_reads_eight_at_180_hz(tmp_path):
+    imus = bmi160s(8)
+    session = run(tmp_path, script(imus, seconds=SECONDS), FAST)
+    assert_clean(session)
+    assert_exact(session, imus)
+    assert_complete(session, 8, 180, since_s=STARTED_S)
+
+
+@pytest.mark.parametrize('flags', ['', FAST.replace('180', '100')], ids=['wire', 'polled'])
+def test_all_types_work_side_by_side(tmp_path, flags):
+    session = run(tmp_path, script(MIXED, seconds=SECONDS), flags)
+    assert_clean(session)
+    assert_exact(session, MIXED)
+    # A BNO055 answers 650 ms after power came, and starts for 40 ms more.
+    assert_complete(session, len(MIXED), 100, since_s=1.0)
+    first, last = session.hellos[0], session.hellos[-1]
+    assert (first.reason, last.reason) == (BOOT, ASKED)
+    assert [MODELS[info.model] for info in last.imus] == [
+        'BMI160',
+        'MPU-9250',
+        'BNO055',
+        'SEN0140',
+        'MPU-9250',
+    ]
+    assert [(info.channel, info.address) for info in last.imus] == [place[1:] for place in MIXED]
+
+
+def test_at_rest_with_z_up_the_specific_force_is_plus_one_g(tmp_path):
+    session = run(tmp_path, script(MIXED, seconds=SECONDS, motion='formula'))
+    for info in session.hellos[-1].imus:
+        counts = np.array([counts for _, counts in session.of(info.imu)])
+        force = info.specific_force_scale * counts[:, 3:]
+        rate = info.angular_rate_scale * counts[:, :3]
+        # The formula's noise is evenly spread to 0.03 m/s^2; half a count of an ADXL345 is 0.02.
+        np.testing.assert_allclose(force, force * 0 + [0, 0, 9.80665], atol=0.051)
+        # It swings about z by 1 rad/s at 1 Hz.
+        assert np.abs(rate[:, :2]).max() < 0.012
+        assert 0.97 < np.abs(rate[:, 2]).max() < 1.02
+    temperatures = [celsius for _, celsius in session.statuses[-1].imus.values()]
+    np.testing.assert_allclose(temperatures, 26.0, atol=0.01)  # the last digit of STATUS
+
+
+def test_two_on_one_channel_are_told_apart_by_their_addresses(tmp_path):
+    flags = '-DIMU_PLACES="{3,0x68},{3,0x69}"'
+    imus = [('bmi160', 3, 0x68), ('bmi160', 3, 0x69)]
+    session = run(tmp_path, script(imus, seconds=SECONDS), flags)
+    assert_clean(session)
+    assert_exact(session, imus)
+    assert_complete(session, 2, 100, since_s=STARTED_S)
+
+
+def test_one_that_is_plugged_in_later_is_announced(tmp_path):
+    events = ['0 dead 1', '0.8 alive 1']
+    session = run(tmp_path, script(bmi160s(2), events, seconds=SECONDS))
+    assert_clean(session)
+    assert [[info.imu for info in hello.imus] for hello in session.hellos] == [[0], [0, 1]]
+    begin_s = session.of(1)[0][0]
+    assert session.hellos[-1].ticks_us / 1e6 < begin_s < 1.5
+
+
+def test_the_same_script_gives_the_same_bytes(tmp_path):
+    text = script(MIXED, ['0.5 send 03 11 22 00', '0.7 dead 0'], seconds=1.2)
+    assert run(tmp_path, text).data == run(tmp_path, text).data
