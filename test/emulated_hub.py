@@ -26,7 +26,8 @@ FILES = ('/usr/share/arduino/hardware/arduino/avr', '/usr/include/simavr/sim_avr
 PACKAGES = 'make gcc libc6-dev gcc-avr avr-libc binutils-avr arduino-core-avr libsimavr-dev'
 FAST = '-DSCAN_RATE_HZ=180 -DBUS_POLLED=1'
 
-BOOT_US = 100  # the sketch's clock starts so long after the board's, at most
+BOOT_US = (500, 600)  # the sketch's clock starts so long after the board's
+READ_S = 1.3e-3  # from a reading's stamp to the last of its chips
 # Samples a second: angular rate, specific force; what the sketch sets, or the device can.
 RATES = {
     'bmi160': (400, 400),
@@ -72,12 +73,31 @@ def built(flags=''):
     stamp, digest = build / 'sources', _digest(flags).hexdigest()
     with only_one(FIRMWARE / 'build' / 'lock'):
         if not stamp.exists() or stamp.read_text() != digest:
-            command = ['make', '-C', FIRMWARE, f'BUILD={build}', f'FLAGS={flags}']
-            made = subprocess.run(command, capture_output=True, text=True, check=False)
-            assert made.returncode == 0, made.stdout + made.stderr
-            assert 'warning' not in made.stdout + made.stderr
+            _make(FIRMWARE, f'BUILD={build}', f'FLAGS={flags}')
             stamp.write_text(digest)
     return build / 'imu_hub.elf', FIRMWARE / 'build' / 'imu_hub_sim'
+
+
+def _make(folder, *arguments):
+    made = subprocess.run(
+        ['make', '-C', folder, *arguments], capture_output=True, text=True, check=False
+    )
+    said = made.stdout + made.stderr
+    assert made.returncode == 0, said
+    assert 'warning' not in said, said
+
+
+def changed_sketch(folder, file, old, new):
+    """Return a sketch, built in `folder`, of which one text is another."""
+    built()  # what does not change comes from there
+    copy = folder / 'firmware'
+    shutil.copytree(FIRMWARE, copy, ignore=shutil.ignore_patterns('test', '*.o.d'))
+    source = copy / 'imu_hub' / file
+    text = source.read_text()
+    assert text.count(old) == 1
+    source.write_text(text.replace(old, new))
+    _make(copy, 'sketch', 'BUILD=changed')
+    return copy / 'changed' / 'imu_hub.elf'
 
 
 def script(imus, events=(), *, seconds, motion='counter', skew_ppm=0):
@@ -134,12 +154,12 @@ class Session:
         return [((s.ticks_us + s.imus[imu][0]) / 1e6, s.imus[imu][1]) for s in scans]
 
 
-def run(folder, text, flags=''):
-    """Run a script as fast as it goes."""
-    sketch, emulator = built(flags)
+def run(folder, text, flags='', *, sketch=None):
+    """Run a script as fast as it goes, on the sketch with these flags or on the one given."""
+    as_is, emulator = built(flags)
     script_file, report_file = folder / 'script', folder / 'report.json'
     script_file.write_text(text)
-    command = [emulator, sketch, script_file, '--report', report_file]
+    command = [emulator, sketch or as_is, script_file, '--report', report_file]
     data = subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout
     decoder = FrameDecoder()
     packets = decoder.push(data)
@@ -152,9 +172,8 @@ def counter(imu, n, axis) -> int:
 
 
 def _is_sample(imu, instant_s, counts, axes, rate_hz) -> bool:
-    # It was latched after the stamp: within the time that one IMU takes, or two chips of one do.
-    first = int(instant_s * rate_hz)
-    last = int((instant_s + 1.3e-3 + BOOT_US / 1e6) * rate_hz)
+    first = int((instant_s + BOOT_US[0] / 1e6) * rate_hz)
+    last = int((instant_s + BOOT_US[1] / 1e6 + READ_S) * rate_hz)
     return any(
         all(counts[axis] == counter(imu, n, axis) for axis in axes) for n in range(first, last + 1)
     )

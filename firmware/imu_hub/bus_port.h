@@ -3,7 +3,6 @@
 
 #include <stdint.h>
 
-const uint32_t BUS_CLOCK_HZ = 400000;
 const uint16_t BUS_PATIENCE_US = 3000;  // a BNO055 may stretch the clock, but not that long
 
 enum BusResult : uint8_t { BUS_OK, BUS_REFUSED, BUS_STUCK };

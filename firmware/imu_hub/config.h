@@ -19,6 +19,11 @@
 #define BUS_POLLED 0
 #endif
 
+// Clock of the I2C bus [Hz]; 100000 for long cables.
+#ifndef BUS_CLOCK_HZ
+#define BUS_CLOCK_HZ 400000
+#endif
+
 // Symbols a second.  500 000 is exact at 16 MHz; 115 200 would be 2.1 % off.
 #ifndef BAUD
 #define BAUD 500000
