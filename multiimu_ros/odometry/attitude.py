@@ -40,8 +40,10 @@ class AttitudeConfig:
         How far a moving rig gets from its place, rms of one axis [m].
     still_sigma : float
         Acceleration of a still rig [m/s^2].
-    still_time : float
-        Correlation time of a still rig's acceleration [s].
+    still_velocity_sigma, still_velocity_time : float
+        Velocity of a still rig, one axis [m/s], and how long it stays correlated [s].
+    rolling_arm : float
+        Distance to the point about which a still rig may roll [m].
     rate_scale_sigma : float
         Errors in proportion to the rate that the calibration leaves [-].
     motion_rate_sigma : float
@@ -60,7 +62,9 @@ class AttitudeConfig:
     motion_sigma: float
     motion_reach: float
     still_sigma: float
-    still_time: float
+    still_velocity_sigma: float
+    still_velocity_time: float
+    rolling_arm: float = 0.0
     rate_scale_sigma: float = 0.0
     motion_rate_sigma: float = 1.0
     resting_walk: float = 1e-5
@@ -78,12 +82,13 @@ class AttitudeFilter:
     """Orientation and gyro bias of one (virtual) IMU, with covariance."""
 
     def __init__(self, config: AttitudeConfig) -> None:
+        self._config = config
         self._settings = np.array(
             [
-                config.motion_sigma, config.still_sigma, config.still_time,
+                config.motion_sigma, config.still_velocity_sigma, config.still_velocity_time,
                 config.motion_rate_sigma, config.resting_walk, config.gravity,
                 *as_vector(config.rate_bias_walk, 'rate_bias_walk'),
-                config.motion_reach, config.rate_scale_sigma,
+                config.motion_reach, config.rate_scale_sigma, config.rolling_arm,
             ]
         )  # fmt: skip
         self._R = np.eye(3)
@@ -91,7 +96,7 @@ class AttitudeFilter:
         speed = np.full(3, np.sqrt(config.motion_sigma * config.motion_reach))
         sigmas = (np.ones(3), config.rate_bias_sigma, speed, config.force_bias_sigma)
         self._P = np.diag(np.square(np.concatenate(sigmas)))
-        self._memory = np.zeros(14)
+        self._memory = np.zeros(15)
         self._aligned = self._started = False
         self._rest = RestBuffer(config.resting_lag)
 
@@ -133,7 +138,7 @@ class AttitudeFilter:
             Its noise and the rig's acceleration, apart from the bias [m/s^2].
         """
         force = as_vector(specific_force, 'specific_force')
-        align(self._R, self._P, force, np.full(3, force_sigma**2), float(self._settings[5]))
+        align(self._R, self._P, force, np.full(3, force_sigma**2), self._config.gravity)
         self._aligned = True
 
     def push(self, sample: Sample) -> None:
@@ -144,7 +149,8 @@ class AttitudeFilter:
     def step(self, sample: Sample) -> None:
         """Move on by one finite sample at once; the first one aligns."""
         if not self._aligned:
-            self.align(sample.specific_force, float(self._settings[1 if sample.still else 0]))
+            sigma = self._config.still_sigma if sample.still else self._config.motion_sigma
+            self.align(sample.specific_force, sigma)
         if not self._started:
             self._memory[:3], self._memory[8:11] = sample.angular_rate, sample.specific_force
             self._started = True

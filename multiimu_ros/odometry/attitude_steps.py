@@ -20,6 +20,8 @@ from multiimu_ros.rotations import exp_so3, product, renormalise, right_jacobian
 OUTAGE = 0.2  # [s] after longer ones the readings at the two ends have nothing in common
 GAP = 0.05  # [s] longer steps hide motion: 20 Hz is the slowest IMU that we call one
 RADIAL_TIME = 1.0  # [s] memory of how strongly the rig accelerates
+CREDIBLE_SQUARE = 16.0  # 4 sigma; beyond it a swinging foot that looks still for a moment
+CONFIRMED = 0.1  # [s] no swing looks still for longer, but a running stance does
 SIZE = 12  # of the error
 ESTIMATED = 9  # of its entries
 
@@ -106,9 +108,13 @@ def _advance(
     rate: Vector,
     force: Vector,
     rate_psd: Vector,
+    tilting: float,
     force_psd: float,
 ) -> None:
-    """Turn and speed up over one step (attitude.md (3), (6)); noise is [rad^2/s], [m^2/s^3]."""
+    """Turn and speed up over one step (attitude.md (3), (6)); noise is [rad^2/s], [m^2/s^3].
+
+    `tilting` is noise of all axes but the vertical.
+    """
     bend = curvature(memory[4:7], memory[:3], rate, memory[7], dt) - bias
     if dt > OUTAGE:
         bend = -bias
@@ -119,29 +125,40 @@ def _advance(
     F[6:9, :3] = -product(R, skew(dv))
     F[6:9, 9:12] = -dt * R
     propagate(P, F)
+    memory[11:14] += product(R, dv.reshape(3, 1)).ravel()
+    memory[13] -= settings[5] * dt
+    R[:] = renormalise(product(R, exp_so3(phi)))
     for i in range(3):
         walk = settings[6 + i] ** 2
         P[i, i] += rate_psd[i] * dt + walk * dt**3 / 3.0
         P[i, 3 + i] -= walk * dt**2 / 2.0
         P[3 + i, i] -= walk * dt**2 / 2.0
         P[3 + i, 3 + i] += walk * dt
+        P[i, i] += tilting * dt
+        for j in range(3):
+            P[i, j] -= tilting * dt * R[2, i] * R[2, j]
         P[6 + i, 6 + i] += force_psd * dt
-        memory[11 + i] += R[i, 0] * dv[0] + R[i, 1] * dv[1] + R[i, 2] * dv[2]
-    memory[13] -= settings[5] * dt
-    R[:] = renormalise(product(R, exp_so3(phi)))
+
+
+@compiled
+def _credible(velocity: Vector, P: Matrix, variance: float) -> bool:
+    """Say whether the velocity could be zero, going by its own uncertainty."""
+    expected = P[6, 6] + P[7, 7] + P[8, 8] + 3.0 * variance
+    return bool(np.sum(velocity**2) < CREDIBLE_SQUARE * expected)
 
 
 @compiled
 def _correct_moving(
     R: Matrix,
+    bias: Vector,
     error: Vector,
     P: Matrix,
     memory: Vector,
     settings: Vector,
     dt: float,
+    rate: Vector,
     force: Vector,
     white: Vector,
-    still: bool,
     sigma: float,
 ) -> None:
     """Use that the velocity of a rig that accelerates by `sigma` is bounded (attitude.md (7))."""
@@ -150,10 +167,12 @@ def _correct_moving(
         _set_velocity(velocity, P, sigma * reach)
         _gravity_update(R, error, P, force, gravity, white + sigma**2)
         return
-    if still:
-        tremor = white_equivalent(settings[1], settings[2], dt)
-        _gravity_update(R, error, P, force, gravity, white + tremor)
     variance = white_equivalent(np.sqrt(sigma * reach), np.sqrt(reach / sigma), dt)
+    if memory[14] > 0.0:
+        roll = settings[11] ** 2 * np.sum((rate - bias) ** 2)
+        slow = white_equivalent(np.sqrt(settings[1] ** 2 + roll), settings[2], dt)
+        if memory[14] > CONFIRMED or _credible(velocity, P, slow):
+            variance = slow
     _update_direct(error, P, 6, -velocity, np.full(3, variance))
 
 
@@ -193,9 +212,11 @@ def step_attitude(
 ) -> None:
     """Take one sample.
 
-    `memory` (14,): last rate, mean square of |f| - g, rate before, last dt, last force, velocity.
+    `memory` (15,): last rate, mean square of |f| - g, rate before, last dt, last force, velocity,
+    time still.
     """
     error = np.zeros(SIZE)
+    memory[14] = memory[14] + dt if still else 0.0
     white = force_density**2 / dt
     radial = np.sqrt(np.sum(force**2)) - settings[5]
     memory[3] += dt / (RADIAL_TIME + dt) * (radial * radial - memory[3])
@@ -205,11 +226,13 @@ def step_attitude(
     else:
         sigma = max(settings[0], np.sqrt(memory[3]))
         hidden = max(0.0, dt - GAP) ** 2 / dt
-        turning = 2.0 * np.sqrt(settings[9] / sigma) * np.sum((rate - bias) ** 2)
-        rate_psd = rate_density**2 + (hidden * settings[3] ** 2 + turning * settings[10] ** 2)
+        scale = 2.0 * settings[10] ** 2 * np.sqrt(settings[9] / sigma)  # (5)
+        yawing = scale * np.sum((rate - bias) * R[2]) ** 2
+        tilting = scale * np.sum((rate - bias) ** 2) - yawing
+        rate_psd = rate_density**2 + (hidden * settings[3] ** 2 + yawing)
         force_psd = np.mean(force_density**2) + hidden * settings[0] ** 2
-        _advance(R, bias, P, memory, settings, dt, rate, force, rate_psd, force_psd)
-        _correct_moving(R, error, P, memory, settings, dt, force, white, still, sigma)
+        _advance(R, bias, P, memory, settings, dt, rate, force, rate_psd, tilting, force_psd)
+        _correct_moving(R, bias, error, P, memory, settings, dt, rate, force, white, sigma)
     R[:] = renormalise(product(R, exp_so3(error[:3])))  # (8)
     bias += error[3:6]
     memory[11:14] += error[6:9]

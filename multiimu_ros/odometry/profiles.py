@@ -101,6 +101,7 @@ def odometry_configs(
     force_bias_sigma: Vector,
     rate_bias_walk: Vector,
     force_bias_walk: Vector,
+    rate_scale_sigma: float = 0.0,
 ) -> tuple[GlrtConfig, AttitudeConfig, ErrorStateConfig]:
     """Join what is known about motion and rig.
 
@@ -114,6 +115,8 @@ def odometry_configs(
         Biases that the calibration leaves in the fused IMU [rad/s], [m/s^2].
     rate_bias_walk, force_bias_walk : (3,) arrays
         Their random walks [rad/s^2/sqrt(Hz)], [m/s^3/sqrt(Hz)].
+    rate_scale_sigma : float
+        Error of the fused rate per rate that the calibration leaves, for the attitude filter [-].
 
     Returns
     -------
@@ -138,8 +141,10 @@ def odometry_configs(
         motion_sigma=profile.motion_sigma,
         still_sigma=profile.still_force_sigma,
         motion_reach=profile.motion_reach,
-        still_time=profile.zero_velocity_time,
-        rate_scale_sigma=profile.rate_scale_sigma,
+        still_velocity_sigma=profile.zero_velocity_sigma,
+        still_velocity_time=profile.zero_velocity_time,
+        rolling_arm=profile.rolling_arm,
+        rate_scale_sigma=float(np.hypot(profile.rate_scale_sigma, rate_scale_sigma)),
         gravity=gravity,
     )
     odometry = ErrorStateConfig(

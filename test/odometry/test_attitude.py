@@ -21,7 +21,8 @@ CONFIG = AttitudeConfig(
     motion_sigma=0.5,
     still_sigma=0.03,
     motion_reach=0.1,
-    still_time=0.05,
+    still_velocity_sigma=0.005,
+    still_velocity_time=0.05,
 )
 
 
