@@ -10,6 +10,7 @@ from multiimu_ros.arrays import Flags, Matrix, NANOSECONDS, Scalars, Stamps, Vec
 from multiimu_ros.errors import ConfigError
 from multiimu_ros.fused_frame import FusedFrame
 from multiimu_ros.odometry.attitude import OUTAGE
+from multiimu_ros.odometry.smoother import Smoothed
 
 BLOCK = 4096  # frames turned into columns at a time
 BIASES = ('gyro_bias', 'gyro_bias_sigma', 'accel_bias', 'accel_bias_sigma')
@@ -119,6 +120,33 @@ def as_walk(frames: Iterable[FusedFrame]) -> Walk:
     for _ in recorder.watch(frames):
         pass
     return recorder.walk()
+
+
+def smoothed_walk(live: Walk, smoothed: Smoothed) -> Walk:
+    """Return a walk as a smoother knows it in hindsight.
+
+    Parameters
+    ----------
+    live : Walk
+        One instant for each sample of the recording that was smoothed.
+    smoothed : Smoothed
+        What became of them.
+    """
+    R, P = smoothed.R_nb, smoothed.P
+    sigma = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
+    return Walk(
+        stamp_ns=live.stamp_ns[smoothed.rows],
+        position_n=smoothed.position_n,
+        velocity_n=smoothed.velocity_n,
+        orientation=Rotation.from_matrix(R).as_quat(),
+        position_covariance=P[:, :3, :3],
+        rotation_covariance=R @ P[:, 6:9, 6:9] @ R.transpose(0, 2, 1),  # about fixed axes
+        gyro_bias=smoothed.gyro_bias,
+        gyro_bias_sigma=sigma[:, 9:12],
+        accel_bias=smoothed.accel_bias,
+        accel_bias_sigma=sigma[:, 12:15],
+        still=live.still[smoothed.rows],
+    )
 
 
 def _columns(frames: Sequence[FusedFrame]) -> Walk:

@@ -11,10 +11,11 @@ from report_runs import recording
 from scipy.spatial.transform import Rotation
 
 from multiimu_ros.errors import ConfigError
+from multiimu_ros.odometry.smoother import Smoothed
 from multiimu_ros.pipeline import Pipeline, PipelineConfig
 from multiimu_ros.report import walk as module
 from multiimu_ros.report.tracks import in_order
-from multiimu_ros.report.walk import as_walk, sound, WalkRecorder
+from multiimu_ros.report.walk import as_walk, smoothed_walk, sound, WalkRecorder
 
 
 @cache
@@ -87,3 +88,20 @@ def test_only_what_cannot_be_bridged_is_a_gap():
     stamps[50:] += 150_000_000  # 0.16 s with the step: bridged
     stamps[90:] += 3 * 10**9
     assert_allclose(replace(walk, stamp_ns=stamps).gaps, [3.01])
+
+
+def test_a_smoothed_walk_has_the_stamps_of_its_samples_and_fixed_axes():
+    live = stepping(strides=2)
+    rows = np.delete(np.arange(len(live)), [5, 6])
+    R = Rotation.from_euler('z', 90, degrees=True).as_matrix()
+    state, P = np.zeros((len(rows), 15)), np.diag(np.arange(1.0, 16.0) ** 2)
+    state[:, 9:] = np.arange(6.0)
+    every = [np.repeat(each[np.newaxis], len(rows), axis=0) for each in (R, P)]
+    walk = smoothed_walk(live, Smoothed(rows, state, *every))
+    assert walk.stamp_ns.tolist() == live.stamp_ns[rows].tolist()
+    assert_array_equal(walk.still, live.still[rows])
+    # What was uncertain about x of the body is uncertain about y of the room, and the reverse.
+    assert_allclose(walk.rotation_covariance[0], np.diag([64.0, 49.0, 81.0]), atol=1e-12)
+    assert_allclose(walk.gyro_bias_sigma[0], [10.0, 11.0, 12.0])
+    assert_allclose(walk.accel_bias[0], [3.0, 4.0, 5.0])
+    assert_allclose(Rotation.from_quat(walk.orientation[0]).as_matrix(), R, atol=1e-12)
