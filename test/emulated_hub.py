@@ -14,6 +14,8 @@ import os
 from pathlib import Path
 import shutil
 import subprocess
+import threading
+import time
 
 import pytest
 
@@ -204,3 +206,60 @@ def assert_clean(session):
     assert session.report['violations'] == []
     assert session.report['contentions'] == []
     assert session.report['overrun_bytes'] == 0
+
+
+class LivePort:
+    """An emulated board on a port, in real time; its time 0 is when the port is first opened.
+
+    Attributes
+    ----------
+    events : list of (float, str)
+        What has happened: host time [s] and the word of the script; the first is `open`.
+    """
+
+    def __init__(self, folder, text, flags=''):
+        sketch, emulator = built(flags)
+        self.path, self._report = folder / 'board', folder / 'report.json'
+        self.events = []
+        (folder / 'script').write_text(text)
+        options = ['--port', self.path, '--report', self._report]
+        self._process = subprocess.Popen(
+            [emulator, sketch, folder / 'script', *options], stdout=subprocess.PIPE, text=True
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self):
+        for line in self._process.stdout:
+            instant_ns, what = line.split()
+            self.events.append((int(instant_ns) / 1e9, what))
+
+    def has(self, what):
+        return any(word == what for _, word in self.events)
+
+    def end(self):
+        """End it, where its script has not; return the report."""
+        self._process.terminate()
+        assert self._process.wait(10) == 0
+        return json.loads(self._report.read_text())
+
+    def close(self):
+        """Kill it if it still runs."""
+        self._process.kill()
+        self._process.wait()
+        self._reader.join()
+        self._process.stdout.close()
+
+
+@contextmanager
+def live_port(folder, text, flags=''):
+    """Run a script on a port; killed at the end if it still runs."""
+    port = LivePort(folder, text, flags)
+    try:
+        end = time.monotonic() + 5.0
+        while not port.path.is_symlink():
+            assert time.monotonic() < end, 'the emulator made no port'
+            time.sleep(0.01)
+        yield port
+    finally:
+        port.close()

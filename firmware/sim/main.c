@@ -7,6 +7,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <time.h>
 
 #include "script.h"
@@ -17,15 +18,23 @@
 static const char *port;
 static uint8_t said[4096];  // since the last look at the port
 static int said_count;
+static double lose_until;
 static volatile sig_atomic_t interrupted;
 
 void spoken(uint8_t byte) {
   totals.bytes++;
-  if (!port) {
+  if (board_now() < lose_until) {
+    totals.dropped_bytes++;
+  } else if (!port) {
     putchar(byte);
   } else if (said_count < (int)sizeof said) {
     said[said_count++] = byte;
   }
+}
+
+// The Mega's USB chip has a small buffer, and throws away what a stalled host does not fetch.
+void lose_spoken(double seconds) {
+  lose_until = board_now() + seconds;
 }
 
 static void on_signal(int number) {
@@ -44,6 +53,14 @@ static void sleep_until(double instant) {
   clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &time, NULL);
 }
 
+// What happens is told with the host's time, as the port's reader may be judged by it.
+static void tell(const char *what) {
+  struct timespec now;
+  clock_gettime(CLOCK_REALTIME, &now);
+  printf("%lld %s\n", now.tv_sec * 1000000000LL + now.tv_nsec, what);
+  fflush(stdout);
+}
+
 static void run_script(void) {
   while (isfinite(script_next())) {
     board_run_until(script_next());
@@ -55,6 +72,7 @@ static void run_script(void) {
 static bool run_slice(double end) {
   while (script_next() <= end) {
     board_run_until(script_next());
+    tell(script_what());
     if (!script_act()) return false;
   }
   board_run_until(end);
@@ -70,11 +88,14 @@ static void exchange(void) {
 
 // Time begins when the port is first opened; each opening resets the controller, as the Mega does.
 static void run_port(void) {
+  // It stands for hardware, which nobody else's work can delay; where that is not allowed, it may.
+  setpriority(PRIO_PROCESS, 0, -10);
   while (!port_is_read() && !interrupted) sleep_until(monotonic() + 10 * SLICE);
   const double start = monotonic();
   struct timespec opened;
   clock_gettime(CLOCK_REALTIME, &opened);
   totals.opened_ns = opened.tv_sec * 1000000000LL + opened.tv_nsec;
+  tell("open");
   bool was_read = true;
   for (double end = SLICE; !interrupted; end += SLICE) {
     const bool is_read = port_is_read();
@@ -85,6 +106,8 @@ static void run_port(void) {
     was_read = is_read;
     if (!run_slice(end)) break;
     exchange();
+    const double behind = monotonic() - start - end;
+    if (behind > totals.behind) totals.behind = behind;
     sleep_until(start + end);
   }
   // Closing throws away what has not been read yet.

@@ -72,7 +72,7 @@ void report(const char *path) {
           board_now(), totals.bytes, totals.dropped_bytes);
   fprintf(file, "  \"transactions\": %ld,\n  \"refused\": %ld,\n  \"resets\": %ld,\n",
           totals.transactions, totals.refused, totals.resets);
-  fprintf(file, "  \"overrun_bytes\": %ld,\n  \"opened_ns\": %lld\n}\n", totals.overrun_bytes,
-          totals.opened_ns);
+  fprintf(file, "  \"overrun_bytes\": %ld,\n  \"opened_ns\": %lld,\n  \"behind_s\": %.6f\n}\n",
+          totals.overrun_bytes, totals.opened_ns, totals.behind);
   if (path) fclose(file);
 }

@@ -9,6 +9,7 @@
 //   at 1.5 refuse 0 7            it ignores every seventh address; 0: none
 //   at 1.5 stick 1.0             SDA is held low for so long [s]
 //   at 1.5 wedge 2               a device on channel 2 holds SDA until it gets nine clocks
+//   at 1.5 lose 1.4              what the controller says for so long gets lost [s]
 //   at 1.5 send 03 12 34 00      the host's bytes
 //   at 1.5 reset                 of the controller
 //   at 5.0 end
@@ -74,6 +75,10 @@ double script_next(void) {
   return next_event < event_count ? events[next_event].instant : INFINITY;
 }
 
+const char *script_what(void) {
+  return events[next_event].what;
+}
+
 static void send(const char *text) {
   uint8_t bytes[170];
   int count = 0, used;
@@ -95,6 +100,8 @@ bool script_act(void) {
     board_reset();
   } else if (strcmp(what, "stick") == 0) {
     lines_stick(atof(event->arguments));
+  } else if (strcmp(what, "lose") == 0) {
+    lose_spoken(atof(event->arguments));
   } else if (strcmp(what, "wedge") == 0) {
     lines_wedge(imu);
   } else if (strcmp(what, "send") == 0) {

@@ -8,5 +8,8 @@ void script_load(const char *path);
 // Return the instant of the next event [s], or infinity.
 double script_next(void);
 
+// Return what it is: one word.
+const char *script_what(void);
+
 // Do it; false where it is the end.
 bool script_act(void);

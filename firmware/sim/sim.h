@@ -51,6 +51,7 @@ void report(const char *path);
 
 // port.c: the pseudo-terminal; main.c decides where bytes go
 void spoken(uint8_t byte);
+void lose_spoken(double seconds);
 bool port_open(const char *link);
 bool port_is_read(void);
 void port_write(const uint8_t *bytes, int count);
@@ -61,5 +62,6 @@ void port_close(void);
 struct Totals {
   long bytes, dropped_bytes, transactions, refused, resets, overrun_bytes;
   long long opened_ns;  // host time of instant 0, where there is a port
+  double behind;        // real time, at most [s]
 };
 extern struct Totals totals;
