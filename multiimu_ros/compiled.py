@@ -7,29 +7,47 @@ stand.  Both give the same answer to 1e-12; a test compares them.
 """
 
 from collections.abc import Callable
+from functools import cache
 import hashlib
 import os
 from pathlib import Path
+import re
 import tempfile
 from typing import ParamSpec, TypeVar
 
 P = ParamSpec('P')
 T = TypeVar('T')
+ROOT = Path(__file__).resolve().parents[1]
+IMPORT = re.compile(r'^from (multiimu_ros[\w.]*) import (\([^)]*\)|.*)$', re.MULTILINE)
 
 
-def cache_folder(package: Path) -> Path:
-    """Return a folder of its own for the kernels of a package as they are now.
+@cache
+def imported(module: Path) -> frozenset[Path]:
+    """Return the file of a module of this package and those that it imports, near and far."""
+    found, left = {module}, [module]
+    while left:
+        for parent, names in IMPORT.findall(left.pop().read_text()):
+            folder = ROOT.joinpath(*parent.split('.'))
+            near = [folder.with_suffix('.py')]
+            near += [folder / f'{name}.py' for name in re.findall(r'\w+', names)]
+            fresh = {path for path in near if path.is_file()} - found
+            found |= fresh
+            left += fresh
+    return frozenset(found)
+
+
+@cache
+def cache_folder(module: Path) -> Path:
+    """Return a folder for the kernels of a module as it and all that it imports are now.
 
     numba looks at the file of a kernel alone, and would go on using an old copy after another
     kernel that it calls has changed, as after an update.
     """
     digest = hashlib.sha256()
-    for path in sorted(package.rglob('*.py')):
-        content = path.read_bytes()
-        if b'@compiled' in content:
-            digest.update(content)
-    cache = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')  # noqa: PTH111
-    folder = Path(cache) / 'multiimu_ros' / digest.hexdigest()[:16]
+    for path in sorted(imported(module)):
+        digest.update(path.read_bytes())
+    home = os.environ.get('XDG_CACHE_HOME') or os.path.expanduser('~/.cache')  # noqa: PTH111
+    folder = Path(home) / 'multiimu_ros' / digest.hexdigest()[:16]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:  # a read-only home: at least the processes of one start share it
@@ -46,12 +64,15 @@ else:
         COMPILED = False
     else:
         COMPILED = True
-        if not numba.config.CACHE_DIR:  # the user's NUMBA_CACHE_DIR wins
-            numba.config.CACHE_DIR = str(cache_folder(Path(__file__).parent))
 
 
 def compiled(function: Callable[P, T]) -> Callable[P, T]:
     """Compile `function` with numba where that is possible, else return it unchanged."""
     if not COMPILED:
         return function
-    return numba.njit(cache=True, error_model='numpy')(function)  # type: ignore[no-any-return]
+    theirs = numba.config.CACHE_DIR  # the user's NUMBA_CACHE_DIR wins
+    if not theirs:
+        numba.config.CACHE_DIR = str(cache_folder(Path(function.__code__.co_filename)))
+    dispatcher = numba.njit(cache=True, error_model='numpy')(function)
+    numba.config.CACHE_DIR = theirs
+    return dispatcher  # type: ignore[no-any-return]

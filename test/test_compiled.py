@@ -56,23 +56,50 @@ def test_on_returns_a_dispatcher_that_keeps_the_plain_function():
     assert compiled.compiled(probe).py_func is probe
 
 
-def test_a_change_of_any_kernel_gives_another_cache_and_one_elsewhere_does_not(
-    tmp_path, monkeypatch
-):
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """Return a package in which `top` imports `kernel`; its cache is elsewhere too."""
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
-    package = tmp_path / 'package'
-    package.mkdir()
-    (package / 'kernel.py').write_text('@compiled\ndef one(): return 1\n')
-    (package / 'door.py').write_text('one()\n')
-    before = compiled.cache_folder(package)
-    (package / 'door.py').write_text('one() + one()\n')
-    assert compiled.cache_folder(package) == before
-    (package / 'kernel.py').write_text('@compiled\ndef one(): return 2\n')
-    assert compiled.cache_folder(package) != before
+    monkeypatch.setattr(compiled, 'ROOT', tmp_path)
+    folder = tmp_path / 'multiimu_ros'
+    folder.mkdir()
+    (folder / 'kernel.py').write_text('def one(): return 1\n')
+    (folder / 'other.py').write_text('def two(): return 2\n')
+    (folder / 'top.py').write_text(
+        'from multiimu_ros import (\n    kernel as k,\n    compiled\n)\n'
+    )
+    return folder
+
+
+def folder_of(module):
+    compiled.imported.cache_clear()
+    compiled.cache_folder.cache_clear()
+    return compiled.cache_folder(module)
+
+
+def test_a_change_of_what_a_kernel_imports_gives_another_cache_and_one_elsewhere_does_not(package):
+    before = folder_of(package / 'top.py')
     assert before.is_dir()
+    (package / 'other.py').write_text('def two(): return 3\n')
+    assert folder_of(package / 'top.py') == before
+    (package / 'kernel.py').write_text('def one(): return 2\n')
+    assert folder_of(package / 'top.py') != before
 
 
-def test_where_the_home_cannot_be_written_the_cache_is_temporary(tmp_path, monkeypatch):
+def test_every_import_of_a_kernel_is_found():
+    from_text = compiled.imported(compiled.ROOT / 'multiimu_ros' / 'fusion' / 'fuse_scan.py')
+    command = (
+        'import sys; import multiimu_ros.fusion.fuse_scan; '
+        'print(*(m.__file__ for n, m in sys.modules.items() if n.startswith("multiimu_ros.")))'
+    )
+    run = subprocess.run(
+        [sys.executable, '-c', command], capture_output=True, text=True, check=True
+    )
+    loaded = {path for path in run.stdout.split() if not path.endswith('__init__.py')}
+    assert {str(path) for path in from_text} == loaded
+
+
+def test_where_the_home_cannot_be_written_the_cache_is_temporary(package, tmp_path, monkeypatch):
     (tmp_path / 'file').write_text('no folder')
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'file'))
-    assert compiled.cache_folder(tmp_path).is_relative_to(tempfile.gettempdir())
+    assert folder_of(package / 'top.py').is_relative_to(tempfile.gettempdir())
