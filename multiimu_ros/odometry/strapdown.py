@@ -30,7 +30,7 @@ from multiimu_ros.arrays import (
     Vectors,
 )
 from multiimu_ros.compiled import compiled
-from multiimu_ros.rotations import exp_so3, renormalise, right_jacobian, skew
+from multiimu_ros.rotations import exp_so3, product, renormalise, right_jacobian, skew
 
 
 @dataclass(frozen=True)
@@ -173,11 +173,23 @@ def mechanise(
     return Motion(position + elapsed[:, None] * velocity_n, velocity + velocity_n, attitude)
 
 
-def attitude_rk4(R_nb: Matrix, angular_rate: Vectors, dt: Scalars) -> Matrix:
-    """Integrate the attitude by the fourth-order Runge-Kutta scheme of the thesis, (9.1).
+@compiled
+def rk4_step(R: Matrix, rate: Vector, dt: float) -> Matrix:
+    """Return the attitude (3, 3) after `dt` [s] at `rate` (3,) [rad/s]."""
+    S = skew(rate)
+    k1 = product(R, S)
+    k2 = product(R + 0.5 * dt * k1, S)
+    k3 = product(R + 0.5 * dt * k2, S)
+    k4 = product(R + dt * k3, S)
+    return renormalise(R + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
 
-    The rate is held at (w_k + w_{k-1}) / 2 over a step: fed with w_k alone the scheme lags by
-    half a sample.  `AttitudeFilter` uses the exact exponential instead.
+
+def attitude_rk4(R_nb: Matrix, angular_rate: Vectors, dt: Scalars) -> Matrix:
+    """Integrate the attitude by the fourth-order Runge-Kutta scheme of the thesis, (9.1), (9.2).
+
+    The thesis normalises a quaternion; a matrix made orthonormal is the same scheme.  The rate is
+    held at (w_k + w_{k-1}) / 2 over a step: fed with w_k alone it lags by half a sample.
+    `AttitudeFilter` uses the exact exponential instead.
 
     Parameters
     ----------
@@ -197,11 +209,5 @@ def attitude_rk4(R_nb: Matrix, angular_rate: Vectors, dt: Scalars) -> Matrix:
     attitude = np.empty((len(rate), 3, 3))
     attitude[0] = R_nb
     for k in range(1, len(rate)):
-        S = skew(0.5 * (rate[k - 1] + rate[k]))
-        R, h = attitude[k - 1], dt[k - 1]
-        k1 = R @ S
-        k2 = (R + 0.5 * h * k1) @ S
-        k3 = (R + 0.5 * h * k2) @ S
-        k4 = (R + h * k3) @ S
-        attitude[k] = renormalise(R + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4))
+        attitude[k] = rk4_step(attitude[k - 1], 0.5 * (rate[k - 1] + rate[k]), dt[k - 1])
     return attitude
