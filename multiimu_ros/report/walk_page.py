@@ -106,7 +106,7 @@ def _folder(folder: str | os.PathLike[str]) -> Path:
 def lead(summary: Summary, about: WalkFacts) -> str:
     """Return the walk in two sentences of HTML."""
     apart = float(np.linalg.norm(summary.from_start))
-    share = f' ({100 * apart / summary.distance:.2g} % of the way)' if summary.distance else ''
+    share = f' ({100 * apart / summary.distance:.3g} % of the way)' if summary.distance else ''
     return (
         f'<b>{metres(summary.distance)}</b> in {duration(summary.duration)}, carried by a '
         f'{escape(about.profile)}, ended <b>{metres(apart)}</b> from the start{share}. If it '
@@ -121,7 +121,7 @@ def metres(length: float) -> str:
     if np.isnan(length):
         return UNKNOWN
     if abs(length) < 0.01:
-        return f'{1e3 * length:.2g} mm'
+        return f'{1e3 * length:.1f} mm'
     return f'{length:.2f} m' if abs(length) < 100 else f'{length:.0f} m'
 
 

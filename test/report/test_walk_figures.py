@@ -134,7 +134,7 @@ def test_lines_break_where_frames_are_missing():
 
 def test_near_level_the_angles_are_the_usual_ones():
     angles = np.deg2rad([[1.0, 2.0, 30.0], [-2.0, 1.0, 170.0], [2.0, 0.5, 190.0]])
-    turned = Rotation.from_euler('ZYX', angles[:, ::-1]).as_quat()
+    turned = Rotation.from_euler('ZYX', angles[:, ::-1]).as_quat(canonical=True)  # w > 0
     walk = made(np.zeros((3, 3)), np.zeros(3, bool), orientation=turned)
     # They differ by half the product of roll and pitch: 0.02 deg; and full turns go on.
     assert_allclose(attitude_angles(walk)[0], angles, atol=np.deg2rad(0.03))

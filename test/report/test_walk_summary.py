@@ -61,6 +61,16 @@ def test_a_walk_in_figures():
     assert (summary.gaps, summary.longest_gap) == (0, 0.0)
 
 
+def test_the_way_around_a_corner_is_no_short_cut():
+    walk = stepping(strides=8, length=1.25)
+    bent = walk.position_n.copy()
+    after = bent[:, 0] > 5.0
+    bent[after] = np.column_stack([0 * bent[:, 0] + 5.0, bent[:, 0] - 5.0, bent[:, 2]])[after]
+    summary = summarise(replace(walk, position_n=bent), foot=True)
+    assert_allclose(summary.distance, 10.0)
+    assert_allclose(summary.from_start, [5.0, 5.0, 0.0], atol=1e-12)
+
+
 def test_a_hand_has_a_path_and_no_stances():
     walk = waved()
     summary = summarise(walk, foot=False)
