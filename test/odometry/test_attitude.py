@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from attitude_runs import attitude_error_of_eight, CONFIG
 from hypothesis import given, strategies as st
 import numpy as np
 from numpy.testing import assert_allclose
@@ -9,21 +10,11 @@ from odometry_runs import filters, FORCE_DENSITY, G, nees, RATE_DENSITY, run, to
 import pytest
 from scipy.spatial.transform import Rotation
 
-from multiimu_ros.odometry.attitude import AttitudeConfig, AttitudeFilter, level
+from multiimu_ros.odometry.attitude import AttitudeFilter, level
 from multiimu_ros.odometry.rest import Sample
 from multiimu_ros.rotations import log_so3
 
 DENSITIES = RATE_DENSITY, FORCE_DENSITY
-CONFIG = AttitudeConfig(
-    rate_bias_sigma=np.full(3, 2e-3),
-    force_bias_sigma=np.full(3, 0.03),
-    rate_bias_walk=np.full(3, 4e-6),
-    motion_sigma=0.5,
-    still_sigma=0.03,
-    motion_reach=0.1,
-    still_velocity_sigma=0.005,
-    still_velocity_time=0.05,
-)
 
 
 def resting(rng, seconds, rate_hz=200, bias=(0.0, 0.0, 0.0), up=(0.0, 0.0, G)):
@@ -90,6 +81,98 @@ def test_uncertainty_is_what_the_error_is():
             errors.append((nees(theta, P[:3, :3]), nees(ran.gyro_bias[k] - bias, P[3:, 3:])))
     # 6 independent runs of 3 axes: standard error about sqrt(2 / 18) = 0.33 at worst.
     assert_allclose(np.mean(errors, axis=0), 1.0, atol=0.66)
+
+
+@pytest.mark.slow
+def test_yaw_drifts_as_its_variance_says_over_five_minutes():
+    ratios, dt = [], 0.02
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        attitude, bias = AttitudeFilter(CONFIG), 1e-4 * rng.standard_normal(3)
+        attitude.restore_gyro_bias(np.zeros(3), np.full(3, 1e-4))
+        noise = rng.standard_normal((round(300.0 / dt), 3, 3)) / np.sqrt(dt)
+        for white, push, walk in noise:
+            rate = bias + RATE_DENSITY * white
+            force = np.array([0.0, 0.0, G]) + FORCE_DENSITY * push
+            attitude.step(Sample(dt, rate, force, *DENSITIES, False, False))
+            bias = bias + 4e-6 * dt * walk
+        yaw = np.arctan2(attitude.R_nb[1, 0], attitude.R_nb[0, 0])
+        ratios.append(yaw**2 / attitude.P[2, 2])
+    # Chi-squared with 24 degrees of freedom: standard error sqrt(2 / 24) = 0.29.
+    assert_allclose(np.mean(ratios), 1.0, atol=0.58)
+
+
+@pytest.mark.slow
+def test_eight_imus_hold_the_attitude_of_a_hand_for_five_minutes():
+    tilt, yaw = np.median([attitude_error_of_eight(seed, 300.0, 100.0) for seed in (1, 2, 3)], 0)
+    # Measured at 200 Hz: 0.010 and 0.060 deg, medians of five.
+    assert tilt <= 0.10
+    assert yaw <= 0.15
+
+
+def sway(attitude, seconds, amplitude, omega=3.0, dt=0.01):
+    """Push a level rig to and fro along x; return its largest tilt [rad] after the first half."""
+    tilts = []
+    for k in range(round(seconds / dt)):
+        force = np.array([amplitude * np.cos(omega * k * dt), 0.0, G])
+        attitude.push(Sample(dt, np.zeros(3), force, *DENSITIES, False, False))
+        tilts.append(np.arccos(min(1.0, attitude.R_nb[2, 2])))
+    return max(tilts[len(tilts) // 2 :])
+
+
+def test_the_acceleration_of_a_bounded_motion_hardly_tilts(rng):
+    # 2 m/s^2 look like a tilt of 0.2 rad, a hundred times what is left.
+    assert sway(resting(rng, 3.0), 20.0, amplitude=2.0) < 0.002
+
+
+def test_a_wrong_tilt_is_found_from_motion(rng):
+    attitude = AttitudeFilter(replace(CONFIG, rate_bias_sigma=np.zeros(3)))
+    attitude.align(np.array([1.0, 0.0, G]), 1.0)  # 0.1 rad wrong, and known to be so
+    sway(attitude, 30.0, amplitude=1.0)
+    tilt = np.arccos(min(1.0, attitude.R_nb[2, 2]))
+    assert tilt < 0.01
+    assert tilt < 3.0 * np.sqrt(attitude.P[0, 0] + attitude.P[1, 1])
+
+
+def test_a_rate_that_is_wrong_in_proportion_widens_tilt_and_only_its_own_turn_yaw(rng):
+    up, grown = np.array([0.0, 0.0, G]), {}
+    for axis in (0, 2):
+        attitude = AttitudeFilter(replace(CONFIG, rate_scale_sigma=0.01))
+        attitude.restore_gyro_bias(np.zeros(3), np.zeros(3))
+        rate, R = np.zeros(3), np.eye(3)
+        rate[axis] = 1.0
+        for k in range(200):
+            R = Rotation.from_rotvec(rate * 0.005 * k).as_matrix()
+            attitude.push(Sample(0.005, rate, R.T @ up, *DENSITIES, False, False))
+        P = R @ attitude.P[:3, :3] @ R.T
+        grown[axis] = P[2, 2]
+    # A second of it: 2 s^2 w^2 sqrt(reach / acceleration), beside N^2.
+    assert_allclose(grown[2], 2 * 1e-4 * np.sqrt(0.1 / 0.5) + 1.2e-4**2, rtol=0.02)
+    assert grown[0] < 0.01 * grown[2]
+
+
+def test_a_rolling_foot_is_still_though_its_force_is_not_gravity():
+    attitude = AttitudeFilter(replace(CONFIG, rolling_arm=0.1, rate_bias_sigma=np.zeros(3)))
+    attitude.align(np.array([0.5, 0.0, G]), 0.5)
+    for _ in range(100):
+        force = np.array([0.0, 0.0, G])
+        attitude.push(Sample(0.005, np.zeros(3), force, *DENSITIES, True, False))
+    # Half a second at 5 mm/s: tilt is known to a few mrad, for velocity grows by g tilt t.
+    assert np.arccos(min(1.0, attitude.R_nb[2, 2])) < 0.005
+
+
+def test_steps_of_any_length_give_the_same_attitude(rng):
+    dt = rng.uniform(0.002, 0.008, 2000)
+    time = np.cumsum(dt)
+    attitude = AttitudeFilter(replace(CONFIG, rate_bias_sigma=np.zeros(3)))
+    for step, t in zip(dt, time, strict=True):
+        roll = 0.5 * np.sin(3.0 * t)
+        force = np.array([0.0, G * np.sin(roll), G * np.cos(roll)])
+        rate = np.array([1.5 * np.cos(3.0 * t), 0.0, 0.0])
+        attitude.push(Sample(step, rate, force, *DENSITIES, False, False))
+    # The chord alone would be off by w^2 dt^2 / 12 of the 0.5 rad: 4e-5.
+    turned = attitude.R_nb @ Rotation.from_euler('x', 0.5 * np.sin(3.0 * time[-1])).as_matrix().T
+    assert np.linalg.norm(log_so3(np.ascontiguousarray(turned))) < 2e-4
 
 
 def test_a_gap_is_bridged_with_the_last_rate_and_admitted(rng):
