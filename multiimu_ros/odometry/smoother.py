@@ -23,10 +23,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiimu_ros.arrays import as_vectors, Flags, Matrix, Scalars, Stamps, Vector, Vectors
+from multiimu_ros.odometry.attitude import GAP
 from multiimu_ros.odometry.error_state import ErrorStateConfig, ErrorStateFilter
 from multiimu_ros.odometry.rest import Sample
 from multiimu_ros.odometry.smoother_kernels import run_backward, run_forward, see_position
 
+LOSS = 1.5  # of the median step: a longer one lacks a sample
 SEGMENT = 512  # samples between two marks: 4 MB of details
 
 Mark = tuple[Vector, Matrix, Matrix, Vector]  # filtered x, R, P, memory where a segment begins
@@ -127,6 +129,23 @@ def believe_rest(dt: Scalars, still: Flags, resting: Flags, lag: float) -> Flags
     return flags
 
 
+def admit_losses(
+    dt: Scalars, rate_density: Vectors, force_density: Vectors, config: ErrorStateConfig
+) -> tuple[Vectors, Vectors]:
+    """Return the densities, larger where samples are missing (smoother.md (8)).
+
+    The live filter admits to gaps above `GAP`, as it does not know when a sample was due.  In a
+    recording the median step tells: lost in mid-swing, even one sample hides a heel strike.
+    """
+    due = float(np.median(dt))
+    hidden = np.where(dt > LOSS * due, np.minimum(dt, GAP) - due, 0.0)
+    spread = (np.square(np.maximum(hidden, 0.0)) / dt)[:, np.newaxis]
+    return (
+        np.sqrt(rate_density**2 + config.motion_rate_sigma**2 * spread),
+        np.sqrt(force_density**2 + config.motion_sigma**2 * spread),
+    )
+
+
 class Smoother:
     """The two passes over one recording without jumps in time.
 
@@ -152,6 +171,8 @@ class Smoother:
         elapsed = np.cumsum(recording.dt)[self._rows]
         self._steps = np.concatenate((recording.dt[:1], np.diff(elapsed)))
         self._readings = readings[self._rows]
+        densities = self._readings[:, 6:9], self._readings[:, 9:12]
+        self._readings[:, 6:] = np.hstack(admit_losses(self._steps, *densities, config))
         still, resting = recording.still[self._rows], recording.resting[self._rows]
         self._flags = believe_rest(self._steps, still, resting, config.resting_lag)
         self._closed_sigma = closed_sigma

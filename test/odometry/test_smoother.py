@@ -11,7 +11,13 @@ import pytest
 from multiimu_ros.odometry import smoother
 from multiimu_ros.odometry.error_state import ErrorStateFilter
 from multiimu_ros.odometry.rest import RestBuffer, Sample
-from multiimu_ros.odometry.smoother import believe_rest, Recording, smooth, Smoother
+from multiimu_ros.odometry.smoother import (
+    admit_losses,
+    believe_rest,
+    Recording,
+    smooth,
+    Smoother,
+)
 from multiimu_ros.odometry.smoother_kernels import run_backward, run_forward, solve
 from multiimu_ros.rotations import log_so3
 from multiimu_ros.simulation.trajectories import make_motion
@@ -102,9 +108,8 @@ def test_a_linear_case_equals_least_squares():
     n, dt, push = 12, 0.04, np.array([1.0, -0.5, 0.2])
     zero = (4, 5, 10)
     start = linear_case()
-    x, R, P, memory, settings = (
-        np.zeros(15), np.eye(3), np.zeros((15, 15)), start._memory.copy(), start._settings,
-    )  # fmt: skip
+    x, R, P = np.zeros(15), np.eye(3), np.zeros((15, 15))
+    memory, settings = start._memory.copy(), start._settings
     P[range(3, 6), range(3, 6)], P[range(12, 15), range(12, 15)] = 1.0, 0.09
     memory[:6] = (0, 0, 0, *(UP + push))
     readings = np.tile(np.concatenate((np.zeros(3), UP + push, np.zeros(3), np.ones(3))), (n, 1))
@@ -114,8 +119,7 @@ def test_a_linear_case_equals_least_squares():
     run_forward(x, R, P, memory, settings, np.full(n, dt), readings, flags, *tape)
     out = np.empty((n + 1, 15)), np.empty((n + 1, 3, 3)), np.empty((n + 1, 15, 15))
     run_backward(x, R, P, *tape, *out)
-    expected, covariance = batch(n, dt, push, zero, 0.1)
-    pick = np.r_[0:6, 12:15]
+    (expected, covariance), pick = batch(n, dt, push, zero, 0.1), np.r_[0:6, 12:15]
     # One optimum by two routes; condition numbers of 1e6 leave ten digits.
     assert_allclose(out[0][:, pick], expected, atol=1e-9)
     for k in range(n + 1):
@@ -252,6 +256,20 @@ def test_gaps_and_rubbish_are_bridged():
     # 0.5 m/s^2 unseen for 1.5 s and zero velocity at both ends: a bridge of some 0.2 m.
     assert 0.02 < sigma[-1] - sigma[70] < 0.5
     assert np.abs(smoothed.position_n).max() < 0.01
+
+
+def test_a_lost_sample_is_admitted():
+    _, _, odometry = filters('foot')
+    config = odometry._config
+    dt = np.array([0.01, 0.01, 0.013, 0.02, 0.01, 1.0, 0.01])  # jitter, one lost, a gap
+    density = np.full((7, 3), 0.003)
+    rate, force = admit_losses(dt, density, density, config)
+    assert (rate[[0, 1, 2, 4]] == 0.003).all()
+    # What was not seen for 10 ms may have changed the velocity by 10 ms of a swing's force.
+    added = (force[3] ** 2 - 0.003**2) * dt[3]
+    assert_allclose(np.sqrt(added), 0.01 * config.motion_sigma, rtol=1e-9)
+    added = (rate[5] ** 2 - 0.003**2) * dt[5]  # the filter itself counts from 50 ms on
+    assert_allclose(np.sqrt(added), 0.04 * config.motion_rate_sigma, rtol=1e-9)
 
 
 def test_a_walk_that_is_known_to_end_where_it_began_does():
