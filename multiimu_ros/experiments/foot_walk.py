@@ -133,17 +133,20 @@ def make_walk(
     strikes and rolling of `simulation.foot_realism`, bandwidth and range of a BMI160, and a
     calibration that did not look for g-sensitivity.
     """
-    rng = np.random.default_rng([seed, rough])
     path = trajectory('foot_rough' if rough else 'foot', duration_of(distance), seed)
     path = replace(path, duration=path.duration + standing)
+    return carry(path, np.random.default_rng([seed, rough]), rough=rough, count=count)
+
+
+def carry(path: Trajectory, rng: np.random.Generator, *, rough: bool, count: int = IMUS) -> Walk:
+    """Return what newly drawn IMUs record along a path; `rough` as in `make_walk`."""
     errors = ROUGH_BMI160 if rough else BMI160
     true = drawn_rig(foot(count), [errors] * count, rng)
     left = Residuals(g_sensitivity=G_SENSITIVITY) if rough else Residuals()
     times = np.arange(round(path.duration * RATE_HZ)) / RATE_HZ
     raw = _read(true, path, times, errors, rng, rough=rough)
     rig = with_range(calibrated_rig(true, int(rng.integers(2**31)), left), errors)
-    truth = path.at(times)
-    steps = np.diff(truth.position_n[:, :2], axis=0)
+    steps = np.diff(path.at(times).position_n[:, :2], axis=0)
     walked = float(np.hypot(*steps.T).sum())
     return Walk(path, rig, times, raw, walked, float(path.path.time[-2]))
 

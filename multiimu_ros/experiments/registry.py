@@ -2,7 +2,16 @@
 
 from typing import Protocol
 
-from multiimu_ros.experiments import asynchronous, count, filters, static, table43, turntable
+from multiimu_ros.experiments import (
+    asynchronous,
+    count,
+    filters,
+    foot,
+    static,
+    table43,
+    turntable,
+    zupt,
+)
 from multiimu_ros.experiments.board import Progress
 from multiimu_ros.report.experiment_page import Result
 
@@ -21,4 +30,6 @@ EXPERIMENTS: dict[str, Experiment] = {
     'turntable': turntable.run,
     'count': count.run,
     'asynchronous': asynchronous.run,
+    'foot': foot.run,
+    'zupt': zupt.run,
 }

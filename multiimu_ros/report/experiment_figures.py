@@ -65,6 +65,8 @@ class Panel:
         Ticks to show, instead of matplotlib's.
     x_names : tuple of str
         What 0, 1, 2 ... on the x axis are, where they are no numbers.
+    equal : bool
+        A unit is as long on one axis as on the other, as on a map.
     """
 
     title: str
@@ -77,6 +79,7 @@ class Panel:
     y_limits: tuple[float, float] | None = None
     x_ticks: tuple[float, ...] = ()
     x_names: tuple[str, ...] = ()
+    equal: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,6 +149,8 @@ def _paint_lines(axes: Axes, panel: Panel) -> None:
     if panel.names:
         axes.margins(0.12, 0.25)  # room for the names
     _scale(axes, log_x=panel.log_x, log_y=panel.log_y)
+    if panel.equal:
+        axes.set_aspect('equal', 'datalim')
     if panel.y_limits is not None:
         axes.set_ylim(panel.y_limits)
     if panel.x_ticks:
