@@ -1,14 +1,14 @@
 """Attitude of a moving rig: an error-state Kalman filter with gyro bias.
 
-The gyroscope carries the attitude; the specific force, which on average over a bounded motion is
-the reaction to gravity, corrects roll and pitch; at rest the rate is known to be zero, which
-corrects the gyro bias, and the attitude is held.  Yaw has no reference, so its variance grows as
-the gyroscope's noise and bias say, and stops only at rest.  Equations:
-docs/derivations/attitude.md.
+The gyroscope carries the attitude.  A tilt that is wrong turns gravity into an acceleration, which
+integrates to a velocity that a hand, a foot or a vehicle cannot have: that the velocity stays
+bounded corrects roll and pitch.  At rest the rate is known to be zero, which corrects the gyro
+bias, and the attitude is held.  Yaw has no reference, so its variance grows as the gyroscope's
+noise and bias say, and stops only at rest.  Equations: docs/derivations/attitude.md.
 
-The error is (attitude, gyro bias, force bias), `R_nb = R_nb_hat @ exp(theta)`, 9 states; the
-force bias is only considered (Schmidt), for gravity alone cannot tell it from tilt: without it
-the filter would believe the tilt that a biased accelerometer shows.
+The error is (attitude, gyro bias, velocity, force bias), `R_nb = R_nb_hat @ exp(theta)`, 12
+states; the force bias is only considered (Schmidt), for gravity alone cannot tell it from tilt:
+without it the filter would believe the tilt that a biased accelerometer shows.
 
 At rest, for `R_nb` the identity, `specific_force` reads [0, 0, +9.81].
 """

@@ -233,7 +233,7 @@ def step_attitude(
         force_psd = np.mean(force_density**2) + hidden * settings[0] ** 2
         _advance(R, bias, P, memory, settings, dt, rate, force, rate_psd, tilting, force_psd)
         _correct_moving(R, bias, error, P, memory, settings, dt, rate, force, white, sigma)
-    R[:] = renormalise(product(R, exp_so3(error[:3])))  # (8)
+    R[:] = renormalise(product(R, exp_so3(error[:3])))  # (13)
     bias += error[3:6]
     memory[11:14] += error[6:9]
     transform_block(P, exp_so3(-error[:3]), 0)
