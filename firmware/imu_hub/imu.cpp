@@ -21,6 +21,9 @@ struct Place {
 const Place PLACES[] = {IMU_PLACES};
 const uint8_t imu_count = sizeof PLACES / sizeof PLACES[0];
 static_assert(imu_count <= MAX_IMUS, "IMU_PLACES must be at most eight");
+// A byte has ten bits on the line; a scan 8 bytes, 14 for each IMU, and 6 of its frame.
+static_assert(BAUD / 10 / (8 + 14 * imu_count + 6) >= SCAN_RATE_HZ,
+              "BAUD must be higher, or SCAN_RATE_HZ lower");
 
 Imu imus[MAX_IMUS];
 static bool changed;
@@ -35,6 +38,13 @@ void imus_begin() {
 bool imus_known() {
   for (uint8_t k = 0; k < imu_count; k++) {
     if (!imus[k].looked) return false;
+  }
+  return true;
+}
+
+bool imus_ready() {
+  for (uint8_t k = 0; k < imu_count; k++) {
+    if (imus[k].state != READY) return false;
   }
   return true;
 }

@@ -33,6 +33,9 @@ void imus_begin();
 // Say whether all places have been looked at.
 bool imus_known();
 
+// Say whether all places have an IMU that can be read.
+bool imus_ready();
+
 // Say, once, whether an IMU was found that was not there, or was another, before.
 bool imus_changed();
 

@@ -7,12 +7,17 @@
 #include "config.h"
 #include "imu.h"
 #include "link.h"
+#include "uart.h"
 
 const uint32_t PERIOD_US = 1000000UL / SCAN_RATE_HZ;
 // Most of what comes in between takes less; what takes more delays the next scan a little.
 const uint32_t SPARE_US = 600;
 
+// The first scan waits for all places; where some stay empty, for what starts most slowly.
+const uint32_t BEGIN_BY_US = 900000;
+
 static uint32_t scan_at;
+static bool begun;   // the first scan is due at `scan_at`
 static bool tended;  // since the last scan
 
 void setup() {
@@ -30,10 +35,12 @@ static void tend() {
   tended = true;
 }
 
-// Look for IMUs; then say who is there, and begin.
+// Look for IMUs, say who is there, and start them.
 static void start() {
   tended = false;
   tend();
+  begun = imus_ready() || clock_reached(BEGIN_BY_US);
+  begun = begun && link_has_greeted();
   scan_at = clock_us() + PERIOD_US;
 }
 
@@ -46,8 +53,9 @@ static void skip_late_scans() {
 }
 
 void loop() {
-  if (!link_has_greeted()) return start();
-  link_answer();
+  uart_tend();
+  if (link_has_greeted()) link_answer();
+  if (!begun) return start();
   if (clock_reached(scan_at)) {
     skip_late_scans();
     link_scan();

@@ -7,17 +7,18 @@
 #include <avr/io.h>
 
 #include "clock.h"
-#include "config.h"
 
 struct Frame {
   uint8_t bytes[MAX_FRAME];
   uint8_t length;
+  uint32_t instant;  // not before
 };
 
 const uint8_t FRAMES = 4, REQUESTS = 4;  // powers of two
 
 static Frame queue[FRAMES];
-static volatile uint8_t queued, sent;  // counters that wrap
+static uint8_t queued;  // counters that wrap
+static volatile uint8_t due, sent;
 static Frame first;
 static volatile bool first_waits;
 static const uint8_t *next_byte;
@@ -43,7 +44,7 @@ ISR(USART0_UDRE_vect) {
   if (bytes_left == 0) {
     if (first_waits) {
       begin(first);
-    } else if (queued != sent) {
+    } else if (due != sent) {
       begin(queue[sent % FRAMES]);
     } else {
       UCSR0B &= ~_BV(UDRIE0);
@@ -67,13 +68,21 @@ static void start() {
   SREG = status;
 }
 
-bool uart_send(const uint8_t *packet, uint8_t length) {
+bool uart_send(const uint8_t *packet, uint8_t length, uint32_t instant) {
   if ((uint8_t)(queued - sent) == FRAMES) return false;
   Frame &frame = queue[queued % FRAMES];
   frame.length = packet_frame(packet, length, frame.bytes);
+  frame.instant = instant;
   queued++;
-  start();
+  uart_tend();
   return true;
+}
+
+void uart_tend() {
+  while (due != queued && clock_reached(queue[due % FRAMES].instant)) {
+    due++;
+    start();
+  }
 }
 
 bool uart_send_first(const uint8_t *packet, uint8_t length) {

@@ -3,12 +3,19 @@
 
 #include <stdint.h>
 
+#include "config.h"
 #include "packet.h"
 
 void uart_begin();
 
-// Queue a packet; false where there is no room.
-bool uart_send(const uint8_t *packet, uint8_t length);
+const uint8_t BYTE_US = 10 * 1000000UL / BAUD;
+const uint8_t AROUND = 6;  // bytes of a frame around its packet
+
+// Queue a packet that goes at `instant` or later; false where there is no room.
+bool uart_send(const uint8_t *packet, uint8_t length, uint32_t instant);
+
+// Let go what is due.
+void uart_tend();
 
 // Queue a packet before all that wait; false while another such waits.
 bool uart_send_first(const uint8_t *packet, uint8_t length);

@@ -3,11 +3,11 @@
 //   imu_hub_sim SKETCH.elf SCRIPT [--report FILE] > BYTES       fast, and the same each time
 //   imu_hub_sim SKETCH.elf SCRIPT --port LINK [--report FILE]   in real time, on a pseudo-terminal
 #include <math.h>
+#include <sched.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/resource.h>
 #include <time.h>
 
 #include "script.h"
@@ -88,8 +88,9 @@ static void exchange(void) {
 
 // Time begins when the port is first opened; each opening resets the controller, as the Mega does.
 static void run_port(void) {
-  // It stands for hardware, which nobody else's work can delay; where that is not allowed, it may.
-  setpriority(PRIO_PROCESS, 0, -10);
+  // It stands for hardware, which nobody else's work delays; where that is not allowed, it may.
+  const struct sched_param first = {.sched_priority = 1};
+  sched_setscheduler(0, SCHED_RR, &first);
   while (!port_is_read() && !interrupted) sleep_until(monotonic() + 10 * SLICE);
   const double start = monotonic();
   struct timespec opened;

@@ -1,14 +1,16 @@
 """The whole chain in real time, from the compiled sketch to the fused IMU."""
 
+from contextlib import suppress
 import os
 
 from diagnostic_msgs.msg import DiagnosticArray
 from emulated_hub import bmi160s, live_port, script
-from live_chain import numbers, process, wait_until
+from live_chain import process, wait_until
 import numpy as np
 import pytest
 from ros_helpers import ros_peer
 
+from multiimu_ros.bags import read_messages
 from multiimu_ros.rig import save_rig
 from multiimu_ros.simulation.calibrated import calibrated_rig
 from multiimu_ros.simulation.placements import ring
@@ -61,11 +63,23 @@ def play(folder):
                 60.0,
                 'the graph',
             )
-            with process('driver', *port, domain=domain):
-                peer.spin(SECONDS + 4.0)
+            with process('driver', *port, domain=domain) as driver:
+                # Other tests share the processors; a clock is judged by when the driver reads.
+                with suppress(PermissionError):
+                    os.sched_setscheduler(driver.pid, os.SCHED_RR, os.sched_param(1))
+                peer.wait_until(lambda: board.has('end'), SECONDS + 30.0)
+                peer.spin(2.5)  # what is on its way arrives, the driver says how it went
                 report = board.end()
         said = [s for msg in heard for s in msg.status if s.name == 'driver: board']
     return report, [{pair.key: pair.value for pair in s.values} for s in said]
+
+
+def numbers(bag, topic):
+    """Return stamps [ns], angular rate and specific force of a topic, (N,) and (N, 6)."""
+    messages = [message.data for message in read_messages(bag, [topic])]
+    stamps = np.array([np.frombuffer(data[4:12], '<i4') for data in messages], np.int64)
+    doubles = np.array([np.frombuffer(data[-8 * 37 :], '<f8') for data in messages])
+    return stamps @ [10**9, 1], np.hstack([doubles[:, RATE], doubles[:, FORCE]])
 
 
 @pytest.fixture(scope='module')
@@ -110,15 +124,14 @@ def test_every_published_reading_is_one_of_the_sensors(session):
     for topic, table in zip(TOPICS, tables, strict=True):
         stamps, values = numbers(bag, topic)
         times = (stamps - report['opened_ns']) / 1e9
-        readings = np.hstack([values[:, RATE], values[:, FORCE]])
         rows = np.floor(times * SENSOR_HZ).astype(int)
-        # The sensor's last sample before the stamp, or one beside it: stamps are right to a ms.
-        near = rows[:, None] + np.arange(-2, 4)
-        gaps = np.abs(table[np.clip(near, 0, len(table) - 1)] - readings[:, None]).max(axis=2)
+        near = rows[:, None] + np.arange(-50, 51)
+        gaps = np.abs(table[np.clip(near, 0, len(table) - 1)] - values[:, None]).max(axis=2)
         # Tables have nine digits, scale factors are of single precision.
         assert gaps.min(axis=1).max() < 1e-5
-        best = near[np.arange(len(near)), gaps.argmin(axis=1)] - rows
-        assert abs(np.median(best)) <= 1
+        # Stamps find their way within seconds; then it is the sample of that instant, of 2.5 ms.
+        off = near[np.arange(len(near)), gaps.argmin(axis=1)] - rows
+        assert np.abs(off[times > 0.5 * SECONDS]).max() <= 1
 
 
 def test_the_fused_rate_is_the_true_one(session):
@@ -127,7 +140,7 @@ def test_the_fused_rate_is_the_true_one(session):
     times = (stamps - report['opened_ns']) / 1e9
     moving = (times > 5.0) & (times < SECONDS - 1.0)
     truth = path.at(times[moving] - 0.5 / SENSOR_HZ).angular_rate_b  # a sample's mean age
-    error = values[moving][:, RATE] - truth
+    error = values[moving, :3] - truth
     # Ages of 0 to 2.5 ms, at the angular acceleration of a hand; noise is ten times less.
     alpha = np.gradient(truth, times[moving], axis=0)
     assert np.sqrt(np.mean(error**2)) < 1.25e-3 * np.sqrt(np.mean(alpha**2)) + 0.002
