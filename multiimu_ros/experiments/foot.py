@@ -15,7 +15,14 @@ import numpy as np
 from multiimu_ros.arrays import Matrix, Vectors
 from multiimu_ros.experiments.board import Progress, Readings, registered, rms, without_intrinsics
 from multiimu_ros.experiments.foot_walk import make_walk, RATE_HZ, run_chain, Walk
-from multiimu_ros.experiments.zupt import acceleration_n, ALIGNING, flags, reset
+from multiimu_ros.experiments.zupt import (
+    acceleration_n,
+    ALIGNING,
+    flags,
+    LASTING,
+    reset,
+    SLOW,
+)
 from multiimu_ros.report.experiment_figures import Boxes, Line, Panel, Picture
 from multiimu_ros.report.experiment_page import Cell, Result, Table
 from multiimu_ros.report.tracks import alone
@@ -123,8 +130,9 @@ def _result(errors: Matrix, first: Found, seed: int) -> Result:
             'through their bandwidth and range. As bought: only the poses of the IMUs are known; '
             'calibrated: by the simulated calibration, g-sensitivity left out. The '
             "paper's scheme: weights 1/σ at rest (11), gyro bias and level from the first "
-            f'{ALIGNING:g} s, Runge-Kutta, gravity removed, velocity reset in stance. Error '
-            'state: the whole chain of this package, profile foot. Percent of the distance, rms '
+            f'{ALIGNING:g} s, Runge-Kutta, gravity removed, velocity reset where the rate has '
+            f'been below {SLOW:g} rad/s for {LASTING:g} s. Error state: the whole chain of this '
+            'package, profile foot. Percent of the distance, rms '
             'over the walks: (14) is |dx| + |dy| at the end, "end" the distance there with '
             'height, "path" its rms along the way.'
         ),
