@@ -85,7 +85,7 @@ def test_uncertainty_is_what_the_error_is():
 
 @pytest.mark.slow
 def test_yaw_drifts_as_its_variance_says_over_five_minutes():
-    ratios, dt = [], 0.02
+    ratios, dt = [], 0.04
     for seed in range(24):
         rng = np.random.default_rng(seed)
         attitude, bias = AttitudeFilter(CONFIG), 1e-4 * rng.standard_normal(3)
@@ -110,7 +110,7 @@ def test_eight_imus_hold_the_attitude_of_a_hand_for_five_minutes():
     assert yaw <= 0.15
 
 
-def sway(attitude, seconds, amplitude, omega=3.0, dt=0.01):
+def sway(attitude, seconds, amplitude, omega=3.0, dt=0.02):
     """Push a level rig to and fro along x; return its largest tilt [rad] after the first half."""
     tilts = []
     for k in range(round(seconds / dt)):
@@ -162,7 +162,7 @@ def test_a_rolling_foot_is_still_though_its_force_is_not_gravity():
 
 
 def test_steps_of_any_length_give_the_same_attitude(rng):
-    dt = rng.uniform(0.002, 0.008, 2000)
+    dt = rng.uniform(0.002, 0.008, 1000)
     time = np.cumsum(dt)
     attitude = AttitudeFilter(replace(CONFIG, rate_bias_sigma=np.zeros(3)))
     for step, t in zip(dt, time, strict=True):
