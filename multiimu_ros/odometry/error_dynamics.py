@@ -150,8 +150,9 @@ def predict(
     hidden = max(0.0, dt - GAP) ** 2 / dt
     rate_psd = rate_density**2 + min(hidden * settings[5] ** 2, LINEAR**2 / dt)
     force_psd = force_density**2 + hidden * settings[6] ** 2
-    rate_psd = rate_psd + settings[7] ** 2 * np.sum((rate - x[9:12]) ** 2) * dt
-    force_psd = force_psd + settings[8] ** 2 * np.sum((force - settings[0] * R[2]) ** 2) * dt
+    learnt = np.exp(memory[15]) * dt
+    rate_psd = rate_psd + learnt * settings[7] ** 2 * np.sum((rate - x[9:12]) ** 2)
+    force_psd = force_psd + learnt * settings[8] ** 2 * np.sum((force - settings[0] * R[2]) ** 2)
     R0 = R.copy()
     if dt > OUTAGE:
         phi = dt * (0.5 * (memory[:3] + rate) - x[9:12])
@@ -171,11 +172,14 @@ def predict(
 def remember(
     memory: Vector, dt: float, rate: Vector, force: Vector, still: bool, resting: bool
 ) -> None:
-    """Keep the newest sample in `memory` (15,).
+    """Keep the newest sample in `memory` (22,).
 
-    These are: last rate, force, whether resting, time still; rate and force before, last dt.
+    These are: last rate, force, whether resting, time still; rate and force before, last dt; then
+    what `learn_swing` needs: its logarithm, what a stance has corrected the velocity by (3) and
+    was expected to, the fastest square of the speed since the last stance, time moving.
     """
     memory[7] = memory[7] + dt if still else 0.0
+    memory[21] = 0.0 if still else memory[21] + dt
     memory[8:14], memory[14] = memory[:6], dt
     memory[:3], memory[3:6], memory[6] = rate, force, 1.0 if resting else 0.0
 

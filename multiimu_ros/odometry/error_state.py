@@ -50,7 +50,9 @@ class ErrorStateConfig:
         How much the rate may change unseen in a gap [rad/s].
     rate_scale_sigma, force_scale_sigma : float
         Errors in proportion to the reading (scale, g-sensitivity, saturation) that a stride
-        leaves [-].
+        leaves [-], before the first stances have told how large they are.
+    learning_strides : float
+        Over how many strides that is learnt [-]; 0 for never.
     resting_velocity_sigma : float
         Velocity of a resting rig [m/s].
     resting_walk : float
@@ -73,6 +75,7 @@ class ErrorStateConfig:
     rolling_arm: float = 0.0
     rate_scale_sigma: float = 0.0
     force_scale_sigma: float = 0.0
+    learning_strides: float = 0.0
     resting_velocity_sigma: float = 3e-4
     resting_walk: float = 1e-5
     resting_lag: float = 0.25
@@ -104,13 +107,14 @@ class ErrorStateFilter:
                 *as_vector(config.rate_bias_walk, 'rate_bias_walk'),
                 *as_vector(config.force_bias_walk, 'force_bias_walk'),
                 config.rolling_arm,
+                config.learning_strides,
             ]
         )
         self._x = np.zeros(15)
         self._R = np.eye(3)
         sigmas = (np.zeros(6), np.ones(3), config.rate_bias_sigma, config.force_bias_sigma)
         self._P = np.diag(np.square(np.concatenate(sigmas)))
-        self._memory = np.zeros(15)
+        self._memory = np.zeros(22)
         self._aligned = self._started = False
         self._rest = RestBuffer(config.resting_lag)
 

@@ -13,7 +13,11 @@ from multiimu_ros.odometry.kalman import scalar_update, transform_block, white_e
 from multiimu_ros.rotations import exp_so3, product, renormalise, skew
 
 CREDIBLE_SQUARE = 16.0  # 4 sigma; beyond it a swinging foot that looks still for a moment
+SLOWED_SQUARE = 0.25  # a stance begins below half of the greatest speed since the last one
 CONFIRMED = 0.1  # [s] no swing looks still for longer, but a running stance does
+SWING = 0.03  # [s] a shorter one is a stance in which the detector wavered
+SURPRISE = 4.0  # a stance whose correction is worse than this is itself a fault
+LEAST_LEARNT = -9.2  # ln 1e-4: below a hundredth of the profile's errors they do not matter
 
 
 @compiled
@@ -49,17 +53,35 @@ def _inject(x: Vector, R: Matrix, P: Matrix, error: Vector) -> None:
 
 
 @compiled
-def _zero_velocity(x: Vector, R: Matrix, P: Matrix, variance: float) -> None:
+def _zero_velocity(x: Vector, R: Matrix, P: Matrix, memory: Vector, variance: float) -> None:
     error = np.zeros(15)
+    before = P[3, 3] + P[4, 4] + P[5, 5]
     _update_direct(error, P, 3, -x[3:6], np.full(3, variance), 0)
+    memory[16:19] += error[3:6]
+    memory[19] += before - P[3, 3] - P[4, 4] - P[5, 5]
     _inject(x, R, P, error)
 
 
 @compiled
-def _credible(x: Vector, P: Matrix, variance: float) -> bool:
-    """Say whether the estimated velocity could be zero, going by its own uncertainty."""
+def _credible(x: Vector, P: Matrix, memory: Vector, variance: float) -> bool:
+    """Say whether the rig could stand, going by the uncertainty of its speed and by that before.
+
+    `memory[20]` is the fastest square since the last stance, -1 once the stance has begun.
+    """
     expected = P[3, 3] + P[4, 4] + P[5, 5] + 3.0 * variance
-    return bool(x[3] ** 2 + x[4] ** 2 + x[5] ** 2 < CREDIBLE_SQUARE * expected)
+    square = x[3] ** 2 + x[4] ** 2 + x[5] ** 2
+    slowed = memory[20] < 0.0 or square <= SLOWED_SQUARE * max(memory[20], square)
+    return bool(slowed and square < CREDIBLE_SQUARE * expected)
+
+
+@compiled
+def _learn_swing(memory: Vector, strides: float) -> None:
+    """After a stance, learn how large the errors of a swing are (error_state.md (13))."""
+    if strides > 0.0:
+        surprise = np.sum(memory[16:19] ** 2) / memory[19]
+        learnt = memory[15] + np.log1p((min(surprise, SURPRISE) - 1.0) / strides)
+        memory[15] = max(learnt, LEAST_LEARNT)
+    memory[16:20] = 0.0
 
 
 @compiled
@@ -86,7 +108,7 @@ def begin_rest(
 ) -> None:
     """Where a rest begins, use the last of what the velocity tells about the other states."""
     if resting and memory[6] == 0.0:
-        _zero_velocity(x, R, P, white_equivalent(settings[3], settings[2], dt))
+        _zero_velocity(x, R, P, memory, white_equivalent(settings[3], settings[2], dt))
 
 
 @compiled
@@ -125,5 +147,10 @@ def update(
         roll = settings[15] ** 2 * np.sum((rate - x[9:12]) ** 2)
         sigma = np.sqrt(settings[1] ** 2 + roll)
         variance = white_equivalent(sigma, settings[2], dt)
-        if memory[7] > CONFIRMED or _credible(x, P, variance):
-            _zero_velocity(x, R, P, variance)
+        if memory[7] > CONFIRMED or _credible(x, P, memory, variance):
+            _zero_velocity(x, R, P, memory, variance)
+            memory[20] = -1.0
+    else:
+        memory[20] = max(memory[20], np.sum(x[3:6] ** 2))
+        if memory[19] > 0.0 and memory[21] > SWING:
+            _learn_swing(memory, settings[16])

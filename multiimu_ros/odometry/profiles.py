@@ -36,26 +36,33 @@ class Profile:
     motion_velocity_sigma: float
     rate_scale_sigma: float
     force_scale_sigma: float
+    learning_strides: float
+    swing_share: float
 
 
 FOOT = Profile(
-    # With the threshold of 12 a flat foot may roll at 1.2 rad/s and tremble by 6 m/s^2, the SHOE
-    # thresholds of 1e5 that running needs; `rolling_arm` says how little such a stance tells.
+    # Only their ratio counts, 0.2 rad/s per m/s^2, that of SHOE: `swing_share` sets the level.
     still_rate_sigma=0.36,
     still_force_sigma=1.8,
-    # A standing person sways by about 0.01 rad/s and 0.05 m/s^2.
-    resting_rate_sigma=0.015,
-    resting_force_sigma=0.08,
+    # A standing person sways by less; a heel that rises slowly moves by more.
+    resting_rate_sigma=0.007,
+    resting_force_sigma=0.04,
     window_s=0.025,  # 5 samples at 200 Hz, the published window; a stance lasts 0.3 s
     resting_s=1.0,  # longer than any stance of a walk
-    zero_velocity_sigma=0.01,  # slip of a sole that does not roll
-    zero_velocity_time=0.01,  # a tremor of 15 Hz
-    rolling_arm=0.1,  # ankle or laces to the ball or heel on which the foot rolls
+    # The ankle of a standing leg goes on by millimetres in a second; what is faster turns the
+    # foot about heel or ball, at `rolling_arm` from the instep, and soon turns back.
+    zero_velocity_sigma=0.003,
+    zero_velocity_time=0.02,
+    rolling_arm=0.2,
     motion_sigma=5.0,  # rms of a swing phase
     motion_reach=0.4,  # within a stride of 1.4 m
     motion_velocity_sigma=1.5,  # mean over a stride of a walk at 1.4 m/s
-    rate_scale_sigma=0.01,  # a stride at 5 rad/s: scale, saturation, g-sensitivity
-    force_scale_sigma=0.03,  # strikes of 50 m/s^2 outrun the bandwidth of a cheap IMU
+    # What a runner's strikes leave of a cheap IMU's scale, range, bandwidth and g-sensitivity;
+    # the first stances tell how much less it is for this IMU and this gait.
+    rate_scale_sigma=0.04,
+    force_scale_sigma=0.2,
+    learning_strides=10.0,
+    swing_share=0.16,  # a foot is still while it moves a sixth as much as in its swings
 )
 HAND = Profile(
     # Held, a hand is never still: only a rig that lies or stands on something is.
@@ -73,6 +80,8 @@ HAND = Profile(
     motion_velocity_sigma=0.5,
     rate_scale_sigma=0.0,
     force_scale_sigma=0.0,
+    learning_strides=0.0,
+    swing_share=0.0,
 )
 VEHICLE = Profile(
     # An idling engine shakes the body by a few mrad/s and 0.1 m/s^2.
@@ -90,6 +99,8 @@ VEHICLE = Profile(
     motion_velocity_sigma=10.0,
     rate_scale_sigma=0.0,
     force_scale_sigma=0.0,
+    learning_strides=0.0,
+    swing_share=0.0,
 )
 PROFILES = {'foot': FOOT, 'hand': HAND, 'vehicle': VEHICLE}
 
@@ -132,6 +143,7 @@ def odometry_configs(
         force_magnitude_sigma=float(np.sqrt(np.mean(np.square(force_bias_sigma)))),
         window_s=profile.window_s,
         resting_s=profile.resting_s,
+        swing_share=profile.swing_share,
         gravity=gravity,
     )
     attitude = AttitudeConfig(
@@ -159,6 +171,7 @@ def odometry_configs(
         motion_velocity_sigma=profile.motion_velocity_sigma,
         rate_scale_sigma=profile.rate_scale_sigma,
         force_scale_sigma=profile.force_scale_sigma,
+        learning_strides=profile.learning_strides,
         gravity=gravity,
     )
     return detector, attitude, odometry

@@ -14,7 +14,8 @@ the force's length, sigma_g, marginalised out (docs/derivations/zupt.md), leave
 
 which is [1]_ for sigma_b = sigma_g = 0.  At rest, W*T is chi-squared with 6W - 2 degrees of
 freedom (sigma_f << g).  So many degrees of freedom could hide a wrong mean, hence the two means
-must each also pass on their own.
+must each also pass on their own.  Other statistics, and thresholds that adapt to the person, are
+those of `detectors`.
 
 A stance foot has no velocity and yet rolls and trembles: `still` allows for that motion, and
 holds for a zero-velocity update.  `resting` is the same test with hardly any tremor, passed
@@ -24,15 +25,29 @@ without a break for `resting_s`: then the rate is zero too.
 """
 
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 
 from multiimu_ros.arrays import as_vectors, Matrix, Scalars, Vector, Vectors
 from multiimu_ros.compiled import compiled
+from multiimu_ros.odometry.detectors import (
+    Detector,
+    follow,
+    GLRT,
+    glrt,
+    GYRO,
+    law_of,
+    means_pass,
+    moments_of,
+    NONE,
+    score,
+    scores_of,
+)
 
 CAPACITY = 512  # samples kept for the window: 0.25 s at 2 kHz
 SHORTEST = 5  # samples of the shortest window, that of [1]_
-GATE_SQUARE = 16.0  # a mean may be 4 sigma off: 1 in 900 for three axes, 1 in 16 000 for one
+RESTING_THRESHOLD = 12.0  # of rest, twice what noise alone scores
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +66,15 @@ class GlrtConfig:
         Windows that score below it are still [-]; noise alone scores 6 on average.
     window_s : float
         Length of the window [s]; it never holds fewer than 5 samples.
+    detector : {'glrt', 'gyro', 'moving_variance', 'ared', 'none'}
+        What is scored; `none` never says still.
+    swing_share : float
+        Rather than by `threshold`, the rig is still while the root of the score is below this
+        share of its recent level [-]; 0 for the fixed threshold.
+    swing_attack, swing_decay : float
+        How fast that level rises and falls [s].
+    shortest_s : float
+        How long the rate must have been low for the detector `gyro` [s].
     resting_s : float
         How long the stricter test must hold for rest [s].
     gravity : float
@@ -67,56 +91,24 @@ class GlrtConfig:
     window_s: float = 0.025
     resting_s: float = 1.0
     gravity: float = 9.80665
+    detector: Detector = 'glrt'
+    swing_share: float = 0.0
+    swing_attack: float = 0.2
+    swing_decay: float = 2.0
+    shortest_s: float = 0.05
 
     def __post_init__(self) -> None:
-        may_be_zero = ('rate_bias_sigma', 'force_magnitude_sigma')
+        if self.detector not in get_args(Detector):
+            known = ', '.join(get_args(Detector))
+            msg = f'`detector` must be one of {known}, got {self.detector!r}.'
+            raise ValueError(msg)
+        may_be_zero = ('rate_bias_sigma', 'force_magnitude_sigma', 'swing_share')
         for name, value in vars(self).items():
-            if not (value > 0 or (value == 0 and name in may_be_zero)):  # also catches NaN
+            if name != 'detector' and not (
+                value > 0 or (value == 0 and name in may_be_zero)
+            ):  # also catches NaN
                 msg = f'`{name}` must be positive, got {value}.'
                 raise ValueError(msg)
-
-
-@compiled
-def _moments(samples: Matrix, newest: int, window: int) -> tuple[Vector, float, float, float]:
-    """Return mean rate (3,), its scatter, length of the mean force and its scatter.
-
-    `samples` (M, 6) is a ring; the window ends at row `newest`.
-    """
-    size = len(samples)
-    mean = np.zeros(6)
-    for k in range(window):
-        row = samples[(newest - k) % size]
-        for axis in range(6):
-            mean[axis] += row[axis]
-    mean /= window
-    scatter = np.zeros(2)
-    for k in range(window):
-        row = samples[(newest - k) % size]
-        for axis in range(6):
-            scatter[axis // 3] += (row[axis] - mean[axis]) ** 2
-    scatter /= window
-    length = np.sqrt(mean[3] ** 2 + mean[4] ** 2 + mean[5] ** 2)
-    return mean[:3], scatter[0], length, scatter[1]
-
-
-@compiled
-def _score(
-    spin: float, rate_scatter: float, excess: float, force_scatter: float, window: int, law: Vector
-) -> float:
-    """Return T; `law` (4,): variances of rate and force, of rate bias and force length."""
-    turn = rate_scatter / law[0] + spin / (law[0] + window * law[2])
-    push = force_scatter / law[1] + excess / (law[1] + window * law[3])
-    return float(turn + push)
-
-
-@compiled
-def _batch(samples: Matrix, window: int, law: Vector, gravity: float) -> Scalars:
-    scores = np.empty(len(samples) - window + 1)
-    for start in range(len(scores)):
-        rate, rate_scatter, length, scatter = _moments(samples, start + window - 1, window)
-        spin = rate[0] ** 2 + rate[1] ** 2 + rate[2] ** 2
-        scores[start] = _score(spin, rate_scatter, (length - gravity) ** 2, scatter, window, law)
-    return scores
 
 
 def glrt_statistic(
@@ -129,27 +121,25 @@ def glrt_statistic(
     angular_rate, specific_force : (N, 3) arrays
         Calibrated readings in the body frame [rad/s], [m/s^2].
     config : GlrtConfig
-        Its `angular_rate_sigma` and `specific_force_sigma` stand for all of a sample's noise.
+        Its `angular_rate_sigma` and `specific_force_sigma` stand for all of a sample's noise,
+        its `detector` says what is scored.
     window : int
         Window length W [samples].
 
     Returns
     -------
     (N - W + 1,) array
-        Statistic T of the window that starts at each sample [-].
+        Statistic of the window that starts at each sample [-].
     """
     rate = as_vectors(angular_rate, 'angular_rate')
     force = as_vectors(specific_force, 'specific_force')
     if not len(rate) == len(force) >= window:
         msg = f'Need >= {window} sample pairs, got {len(rate)} rates, {len(force)} forces.'
         raise ValueError(msg)
-    sigmas = (
-        config.angular_rate_sigma,
-        config.specific_force_sigma,
-        config.rate_bias_sigma,
-        config.force_magnitude_sigma,
-    )
-    return _batch(np.hstack((rate, force)), window, np.square(sigmas), config.gravity)
+    tremor = np.square([config.angular_rate_sigma, config.specific_force_sigma])
+    law = law_of(tremor, np.zeros(2), config.rate_bias_sigma, config.force_magnitude_sigma)
+    code = get_args(Detector).index(config.detector)
+    return scores_of(code, np.hstack((rate, force)), window, law, config.gravity)
 
 
 @compiled
@@ -164,28 +154,6 @@ def _window_length(steps: Vector, newest: int, count: int, window_s: float) -> i
 
 
 @compiled
-def _passes(
-    moments: tuple[Vector, float, float, float],
-    window: int,
-    tremor: Vector,
-    noise: Vector,
-    settings: Vector,
-) -> bool:
-    """Judge one window; `tremor`, `noise` (2,) are variances of rate and force."""
-    rate, rate_scatter, length, force_scatter = moments
-    law = np.array(
-        [tremor[0] + noise[0], tremor[1] + noise[1], settings[0] ** 2, settings[1] ** 2]
-    )
-    spin = rate[0] ** 2 + rate[1] ** 2 + rate[2] ** 2
-    excess = (length - settings[4]) ** 2
-    return bool(
-        _score(spin, rate_scatter, excess, force_scatter, window, law) < settings[2]
-        and spin < GATE_SQUARE * (tremor[0] + noise[0] / window + law[2])
-        and excess < GATE_SQUARE * (tremor[1] + noise[1] / window + law[3])
-    )
-
-
-@compiled
 def detect(
     samples: Matrix,
     steps: Vector,
@@ -197,21 +165,40 @@ def detect(
     rate_density: Vector,
     force_density: Vector,
 ) -> tuple[bool, bool]:
-    """Add one sample; `state` is [samples so far, time at rest so far]."""
-    if dt > 2.0 * settings[3] + 0.1:
+    """Add one sample; `state` (4,) is samples so far, time calm, level of motion, time low."""
+    detector, gravity, share = int(settings[0]), settings[5], settings[11]
+    if detector == NONE:
+        return False, False
+    if dt > 2.0 * settings[4] + 0.1:
         state[:] = 0.0  # after a gap, old samples say nothing about the present
     newest = int(state[0]) % CAPACITY
     samples[newest, :3], samples[newest, 3:], steps[newest] = rate, force, dt
     state[0] += 1.0
-    window = _window_length(steps, newest, min(int(state[0]), CAPACITY), settings[3])
+    window = _window_length(steps, newest, min(int(state[0]), CAPACITY), settings[4])
     if window == 0:
         return False, False
-    moments = _moments(samples, newest, window)
+    moments = moments_of(samples, newest, window)
     noise = np.array([np.mean(rate_density**2), np.mean(force_density**2)]) / dt
-    still = _passes(moments, window, settings[6:8], noise, settings)
-    calm = still and _passes(moments, window, settings[8:10], noise, settings)
+    tremor, lasting = settings[7:9], settings[9:11]
+    law = law_of(lasting, noise, settings[1], settings[2])
+    calm = glrt(moments, window, law, gravity) < RESTING_THRESHOLD and means_pass(
+        moments, window, lasting, noise, law, gravity
+    )
+    law = law_of(tremor, noise, settings[1], settings[2])
+    value = score(detector, moments, rate, window, law, gravity)
+    if share > 0.0:
+        if np.isfinite(value):
+            state[2] = follow(state[2], value, dt, settings[12], settings[13])
+        still = value < (share * state[2]) ** 2
+    else:
+        still = value < settings[3] and (
+            detector != GLRT or means_pass(moments, window, tremor, noise, law, gravity)
+        )
+    if detector == GYRO:
+        state[3] = state[3] + dt if still else 0.0
+        still = state[3] >= settings[14]
     state[1] = state[1] + dt if calm else 0.0
-    return still, calm and state[1] >= settings[5]
+    return still or calm, calm and state[1] >= settings[6]
 
 
 class StillnessDetector:
@@ -220,21 +207,17 @@ class StillnessDetector:
     def __init__(self, config: GlrtConfig) -> None:
         self._settings = np.array(
             [
-                config.rate_bias_sigma,
-                config.force_magnitude_sigma,
-                config.threshold,
-                config.window_s,
-                config.gravity,
-                config.resting_s,
-                config.angular_rate_sigma**2,
-                config.specific_force_sigma**2,
-                config.resting_rate_sigma**2,
-                config.resting_force_sigma**2,
+                get_args(Detector).index(config.detector),
+                config.rate_bias_sigma, config.force_magnitude_sigma,
+                config.threshold, config.window_s, config.gravity, config.resting_s,
+                config.angular_rate_sigma**2, config.specific_force_sigma**2,
+                config.resting_rate_sigma**2, config.resting_force_sigma**2,
+                config.swing_share, config.swing_attack, config.swing_decay, config.shortest_s,
             ]
-        )
+        )  # fmt: skip
         self._samples = np.zeros((CAPACITY, 6))
         self._steps = np.zeros(CAPACITY)
-        self._state = np.zeros(2)
+        self._state = np.zeros(4)
 
     def push(
         self,
