@@ -137,7 +137,7 @@ def _result(errors: Matrix, first: Found, seed: int) -> Result:
             'height, "path" its rms along the way.'
         ),
         seed=seed,
-        tables=tuple(_table(over, kind) for kind in range(len(KINDS))),
+        tables=tuple(_table(over, kind, scheme) for kind, scheme in np.ndindex(over.shape[:2])),
         pictures=(_plans(first), _growth(first), _boxes(errors)),
         differs=_differs(errors, over),
     )
@@ -159,16 +159,13 @@ def _mean_single() -> float:
     return float(rms(np.array([PAPER[who][1] for who in WHO[:3]])))
 
 
-def _table(over: Matrix, kind: int) -> Table:
+def _table(over: Matrix, kind: int, scheme: int) -> Table:
     rows: list[dict[str, Cell]] = []
-    for w, who in enumerate(WHO):
-        row: dict[str, Cell] = {'sensor': who, 'paper [m]': PAPER[who][0]}
-        row['paper [%]'] = PAPER[who][1]
-        for s, scheme in enumerate(SCHEMES):
-            for m, measure in enumerate(MEASURES):
-                row[f'ours, {scheme}: {measure} [%]'] = float(over[kind, s, w, m])
-        rows.append(row)
-    return Table(title=f'Error of the walk, sensors {KINDS[kind]}', rows=tuple(rows))
+    for w, (who, (metres, percent)) in enumerate(PAPER.items()):
+        row: dict[str, Cell] = {'sensor': who, 'paper [m]': metres, 'paper [%]': percent}
+        ours = dict(zip(MEASURES, over[kind, scheme, w].tolist(), strict=True))
+        rows.append(row | {f'ours, {measure} [%]': ours[measure] for measure in MEASURES})
+    return Table(title=f'Sensors {KINDS[kind]}, {SCHEMES[scheme]}', rows=tuple(rows))
 
 
 def _plans(first: Found) -> Picture:

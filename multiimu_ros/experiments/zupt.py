@@ -158,21 +158,17 @@ def _result(errors: Matrix, shown: dict[str, tuple[Walk, dict[str, Found]]], see
             'runs; the path error is the rms from the start of the motion to its end.'
         ),
         seed=seed,
-        tables=(_table(over),),
+        tables=tuple(_table(over, c, name) for c, name in enumerate(CASES)),
         pictures=_pictures(errors, shown),
         differs=_differs(over),
     )
 
 
-def _table(over: Matrix) -> Table:
+def _table(over: Matrix, case: int, name: str) -> Table:
     rows: list[dict[str, Cell]] = []
-    for s, scheme in enumerate(SCHEMES):
-        row: dict[str, Cell] = {'velocity update': scheme}
-        for c, name in enumerate(CASES):
-            row |= {f'ours, {name}: end [m]': float(over[c, s, 0]),
-                    f'ours, {name}: path [m]': float(over[c, s, 1])}  # fmt: skip
-        rows.append(row)
-    return Table(title='Error of the position; the thesis prints none', rows=tuple(rows))
+    for scheme, (end, path) in zip(SCHEMES, over[case].tolist(), strict=True):
+        rows.append({'velocity update': scheme, 'ours, end [m]': end, 'ours, path [m]': path})
+    return Table(title=f'Error of the position, {name}; the thesis prints none', rows=tuple(rows))
 
 
 def _answer(over: Matrix) -> str:

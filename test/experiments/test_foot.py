@@ -53,8 +53,9 @@ def test_table_1_is_rerun_with_every_sensor_and_fused(monkeypatch):
     for table in result.tables:
         assert [row['sensor'] for row in table.rows] == list(foot.PAPER)
         assert [row['paper [%]'] for row in table.rows] == [33.5, 11.3, 18.6, 3.6]
-        # Whatever the calibration, the filter finds a walk of 8 m to within a tenth of it.
-        assert all(row['ours, error state: path [%]'] < 10.0 for row in table.rows)
+        if 'error state' in table.title:
+            # Whatever the calibration, the filter finds a walk of 8 m to within a tenth of it.
+            assert all(row['ours, path [%]'] < 10.0 for row in table.rows)
     assert len(result.pictures) == 3
 
 
@@ -108,8 +109,9 @@ def test_updates_hold_a_board_and_harm_a_hand(monkeypatch):
     }
     monkeypatch.setattr(zupt, 'CASES', cases)
     result = zupt.run(0, lambda _: None, boards=1)
-    rows = {row['velocity update']: row for row in result.tables[0].rows}
-    table, hand = 'ours, table, at rest: end [m]', 'ours, hand, no rest: end [m]'
-    assert rows['rate, as printed'][table] < 1e-3 < rows['no update'][table]
-    assert rows['rate, as printed'][hand] > 2 * rows['no update'][hand]
+    table, _, hand = (
+        {row['velocity update']: row['ours, end [m]'] for row in one.rows} for one in result.tables
+    )
+    assert table['rate, as printed'] < 1e-3 < table['no update']
+    assert hand['rate, as printed'] > 2 * hand['no update']
     assert len(result.pictures) == 3
