@@ -134,6 +134,7 @@ class Session:
     report: dict
     decoder: FrameDecoder
     packets: list[Packet]
+    ends: list[float]  # when the last byte of each frame had gone [s]
 
     def all(self, kind):
         return [packet for packet in self.packets if isinstance(packet, kind)]
@@ -150,6 +151,11 @@ class Session:
     def hellos(self) -> list[Hello]:
         return self.all(Hello)
 
+    def delays_us(self):
+        """Return how long after its instant each scan was on the line."""
+        pairs = zip(self.packets, self.ends, strict=True)
+        return [1e6 * end - scan.ticks_us for scan, end in pairs if isinstance(scan, Scan)]
+
     def of(self, imu):
         """Return (instant [s], counts) of all readings of one IMU."""
         scans = [scan for scan in self.scans if imu in scan.imus]
@@ -159,13 +165,15 @@ class Session:
 def run(folder, text, flags='', *, sketch=None):
     """Run a script as fast as it goes, on the sketch with these flags or on the one given."""
     as_is, emulator = built(flags)
-    script_file, report_file = folder / 'script', folder / 'report.json'
+    script_file, report_file, ends_file = (folder / name for name in ('script', 'report', 'ends'))
     script_file.write_text(text)
-    command = [emulator, sketch or as_is, script_file, '--report', report_file]
+    command = [emulator, sketch or as_is, script_file]
+    command += ['--report', report_file, '--ends', ends_file]
     data = subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout
     decoder = FrameDecoder()
     packets = decoder.push(data)
-    return Session(data, json.loads(report_file.read_text()), decoder, packets)
+    ends = [float(line) for line in ends_file.read_text().split()]
+    return Session(data, json.loads(report_file.read_text()), decoder, packets, ends)
 
 
 def counter(imu, n, axis) -> int:

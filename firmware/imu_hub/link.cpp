@@ -49,7 +49,7 @@ static bool send_hello(uint8_t reason) {
     to.f32(info.angular_rate_scale);
     to.f32(info.specific_force_scale);
   }
-  return uart_send(packet, to.at - packet, clock_us());
+  return uart_send(packet, to.at - packet);
 }
 
 static bool send_status() {
@@ -69,7 +69,7 @@ static bool send_status() {
     to.u16(imus[k].temperature);
   }
   *mask_at = mask;
-  return uart_send(packet, to.at - packet, clock_us());
+  return uart_send(packet, to.at - packet);
 }
 
 static void answer_sync(const uint8_t *token, uint32_t arrived_us) {
@@ -98,10 +98,12 @@ void link_answer() {
 // The host takes the earliest arrivals for the truth.  A scan that lacks IMUs is read and sent
 // sooner than others; it waits, so that its last byte has the same delay.
 static bool send_scan(const uint8_t *packet, uint8_t length, uint32_t start) {
+  if (!uart_frame(packet, length)) return false;
   const uint16_t line_us = (length + AROUND) * BYTE_US;
   const uint16_t lasts_us = clock_us() - start + line_us;
   if (lasts_us > longest_us && bus_is_usable()) longest_us = lasts_us;
-  return uart_send(packet, length, start + longest_us - line_us);
+  uart_queue(start + longest_us - line_us);
+  return true;
 }
 
 void link_scan() {

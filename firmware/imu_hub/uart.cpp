@@ -68,14 +68,23 @@ static void start() {
   SREG = status;
 }
 
-bool uart_send(const uint8_t *packet, uint8_t length, uint32_t instant) {
+bool uart_frame(const uint8_t *packet, uint8_t length) {
   if ((uint8_t)(queued - sent) == FRAMES) return false;
   Frame &frame = queue[queued % FRAMES];
   frame.length = packet_frame(packet, length, frame.bytes);
-  frame.instant = instant;
+  return true;
+}
+
+void uart_queue(uint32_t instant) {
+  queue[queued % FRAMES].instant = instant;
   queued++;
   uart_tend();
-  return true;
+}
+
+bool uart_send(const uint8_t *packet, uint8_t length) {
+  const bool framed = uart_frame(packet, length);
+  if (framed) uart_queue(clock_us());
+  return framed;
 }
 
 void uart_tend() {

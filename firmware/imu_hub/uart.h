@@ -11,8 +11,12 @@ void uart_begin();
 const uint8_t BYTE_US = 10 * 1000000UL / BAUD;
 const uint8_t AROUND = 6;  // bytes of a frame around its packet
 
-// Queue a packet that goes at `instant` or later; false where there is no room.
-bool uart_send(const uint8_t *packet, uint8_t length, uint32_t instant);
+// Make a frame of a packet, false where there is no room; queue it to go at `instant` or later.
+bool uart_frame(const uint8_t *packet, uint8_t length);
+void uart_queue(uint32_t instant);
+
+// Both at once, to go as soon as it can.
+bool uart_send(const uint8_t *packet, uint8_t length);
 
 // Let go what is due.
 void uart_tend();

@@ -1,7 +1,10 @@
 // imu_hub_sim: runs the compiled sketch on an emulated board.
 //
-//   imu_hub_sim SKETCH.elf SCRIPT [--report FILE] > BYTES       fast, and the same each time
-//   imu_hub_sim SKETCH.elf SCRIPT --port LINK [--report FILE]   in real time, on a pseudo-terminal
+//   imu_hub_sim SKETCH.elf SCRIPT > BYTES        as fast as it goes, and the same each time
+//   imu_hub_sim SKETCH.elf SCRIPT --port LINK    in real time, on a pseudo-terminal
+//
+// With --report FILE the report does not go to stderr; with --ends FILE the instant of each zero
+// goes there [s].
 #include <math.h>
 #include <sched.h>
 #include <signal.h>
@@ -16,6 +19,7 @@
 #define SLICE 1e-3  // [s] of the real-time run
 
 static const char *port;
+static FILE *ends;
 static uint8_t said[4096];  // since the last look at the port
 static int said_count;
 static double lose_until;
@@ -23,6 +27,7 @@ static volatile sig_atomic_t interrupted;
 
 void spoken(uint8_t byte) {
   totals.bytes++;
+  if (ends && byte == 0) fprintf(ends, "%.7f\n", board_now());
   if (board_now() < lose_until) {
     totals.dropped_bytes++;
   } else if (!port) {
@@ -121,9 +126,11 @@ int main(int count, char **arguments) {
   for (int k = 3; k + 1 < count; k += 2) {
     if (strcmp(arguments[k], "--report") == 0) report_path = arguments[k + 1];
     if (strcmp(arguments[k], "--port") == 0) port = arguments[k + 1];
+    if (strcmp(arguments[k], "--ends") == 0) ends = fopen(arguments[k + 1], "w");
   }
   if (count < 3 || count % 2 == 0) {
-    fprintf(stderr, "usage: imu_hub_sim SKETCH.elf SCRIPT [--port LINK] [--report FILE]\n");
+    fprintf(stderr, "usage: imu_hub_sim SKETCH SCRIPT [--port LINK] [--report FILE] "
+                    "[--ends FILE]\n");
     return 2;
   }
   script_load(arguments[2]);
@@ -138,6 +145,7 @@ int main(int count, char **arguments) {
     fprintf(stderr, "Cannot make a port at `%s`.\n", port);
     return 2;
   }
+  if (ends) fclose(ends);
   report(report_path);
   return 0;
 }

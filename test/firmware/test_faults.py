@@ -88,13 +88,13 @@ def test_a_device_that_missed_clocks_is_clocked_out(tmp_path, flags):
 
 def test_what_an_imu_repeats_is_left_out(tmp_path):
     imus = bmi160s(2)
-    session = run(tmp_path, script(imus, ['0.803 freeze 1', '1.5 thaw 1'], seconds=2), '')
+    session = run(tmp_path, script(imus, ['1.203 freeze 1', '1.9 thaw 1'], seconds=2.4))
     assert_undamaged(session)
     assert_exact(session, imus[:1])
     stale = [r for r in session.of(1) if not is_exact(1, 'bmi160', *r)]
     assert len(stale) <= 2  # the one that froze; and once more, which may be an accident of noise
     [(_, end)] = spaces(session, 1)
-    assert end == pytest.approx(1.5, abs=0.2)  # it is started anew twice meanwhile
+    assert end == pytest.approx(1.9, abs=0.2)  # it is started anew twice meanwhile
     assert session.statuses[-1].imus[1][0] > 15  # failed reads up to the last STATUS
 
 
@@ -129,7 +129,7 @@ def test_refused_addresses_are_failed_reads_and_nothing_else(tmp_path):
 
 def test_a_reset_in_mid_stream_begins_anew_with_a_hello(tmp_path):
     imus = bmi160s(2)
-    session = run(tmp_path, script(imus, ['0.803 reset'], seconds=1.5))
+    session = run(tmp_path, script(imus, ['1.203 reset'], seconds=2.8))
     assert [hello.reason for hello in session.hellos] == [BOOT, BOOT]
     assert session.decoder.lost == 0
     assert session.decoder.crc_errors + session.decoder.cobs_errors <= 1  # the frame it cut

@@ -74,11 +74,11 @@ def frames_of(data):
 
 
 def session(folder):
-    """Return what the compiled sketch says in 1.1 s: each kind of packet."""
+    """Return what the compiled sketch says in 1.2 s: each kind of packet."""
     asks = [HelloRequest(), SyncRequest(0x00C0FFEE)]
     spelled = ' '.join(packets.encode(ask).hex(' ') for ask in asks)
     imus = [*bmi160s(1), ('sen0140', 3, 0x68)]
-    return run(folder, script(imus, [f'0.3 send {spelled}', '0.5 dead 0'], seconds=1.1)).data
+    return run(folder, script(imus, [f'1.0 send {spelled}', '1.1 dead 0'], seconds=1.2)).data
 
 
 def without_times(data):
