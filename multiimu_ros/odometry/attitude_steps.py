@@ -226,7 +226,7 @@ def step_attitude(
     else:
         sigma = max(settings[0], np.sqrt(memory[3]))
         hidden = max(0.0, dt - GAP) ** 2 / dt
-        scale = 2.0 * settings[10] ** 2 * np.sqrt(settings[9] / sigma)  # (5)
+        scale = settings[10] ** 2 * np.sqrt(settings[9] / sigma)  # (5)
         yawing = scale * np.sum((rate - bias) * R[2]) ** 2
         tilting = scale * np.sum((rate - bias) ** 2) - yawing
         rate_psd = rate_density**2 + (hidden * settings[3] ** 2 + yawing)

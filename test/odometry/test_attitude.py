@@ -146,8 +146,8 @@ def test_a_rate_that_is_wrong_in_proportion_widens_tilt_and_only_its_own_turn_ya
             attitude.push(Sample(0.005, rate, R.T @ up, *DENSITIES, False, False))
         P = R @ attitude.P[:3, :3] @ R.T
         grown[axis] = P[2, 2]
-    # A second of it: 2 s^2 w^2 sqrt(reach / acceleration), beside N^2.
-    assert_allclose(grown[2], 2 * 1e-4 * np.sqrt(0.1 / 0.5) + 1.2e-4**2, rtol=0.02)
+    # A second of it: s^2 w^2 sqrt(reach / acceleration), beside N^2.
+    assert_allclose(grown[2], 1e-4 * np.sqrt(0.1 / 0.5) + 1.2e-4**2, rtol=0.02)
     assert grown[0] < 0.01 * grown[2]
 
 
