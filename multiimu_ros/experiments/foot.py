@@ -185,8 +185,8 @@ def _plans(first: Found) -> Picture:
                       lines=(*lines, truth), equal=True)
             )  # fmt: skip
     caption = (
-        'One walk from above. As bought each sensor goes its own way, mostly by the g-sensitivity '
-        'and scale of its gyroscope; calibrated they agree.'
+        'One walk from above. As bought each sensor goes its own way, for nobody knows scale, '
+        'misalignment and g-sensitivity of its gyroscope; calibrated they agree.'
     )
     return Picture(title='Singles and fused (Figures 8 and 9)', caption=caption,
                    panels=tuple(panels))  # fmt: skip
