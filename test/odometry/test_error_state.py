@@ -128,6 +128,24 @@ def test_a_swing_that_looks_still_for_a_moment_is_not_believed():
     assert abs(odometry.velocity_n[0]) < 0.1
 
 
+def stride_variance(error, strides=4):
+    """Return the variance of a velocity after `strides` whose swings are misread by `error`."""
+    _, _, odometry = filters('foot')
+    for _ in range(strides):
+        for _ in range(20):
+            odometry.push(Sample(0.02, np.zeros(3), UP, *DENSITIES, True, False))
+        for push in np.repeat([8.0 + error, -8.0], 15):
+            force = np.array([push, 0.0, G])
+            odometry.push(Sample(0.02, np.zeros(3), force, *DENSITIES, False, False))
+    return odometry.P[3, 3]
+
+
+def test_stances_tell_how_large_the_errors_of_a_swing_are():
+    exact, poor, worse = (stride_variance(error) for error in (0.0, 1.0, 3.0))
+    # Misread by 1 m/s^2 for 0.3 s, a stance corrects 0.3 m/s; a tenth of that surprise is learnt.
+    assert exact < 0.8 * poor < 0.8 * worse  # a perfect stride takes a tenth off, four a third
+
+
 def test_covariance_survives_a_long_wild_run(rng):
     _, _, odometry = filters('vehicle')
     for k in range(4000):
