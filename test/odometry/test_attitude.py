@@ -105,7 +105,7 @@ def test_yaw_drifts_as_its_variance_says_over_five_minutes():
 @pytest.mark.slow
 def test_eight_imus_hold_the_attitude_of_a_hand_for_five_minutes():
     tilt, yaw = np.median([attitude_error_of_eight(seed, 300.0, 100.0) for seed in (1, 2, 3)], 0)
-    # Measured at 200 Hz: 0.010 and 0.060 deg, medians of five.
+    # Measured: 0.011 and 0.043 deg; 0.010 and 0.060 at 200 Hz, medians of five.
     assert tilt <= 0.10
     assert yaw <= 0.15
 
@@ -161,18 +161,18 @@ def test_a_rolling_foot_is_still_though_its_force_is_not_gravity():
     assert np.arccos(min(1.0, attitude.R_nb[2, 2])) < 0.005
 
 
-def test_steps_of_any_length_give_the_same_attitude(rng):
-    dt = rng.uniform(0.002, 0.008, 1000)
-    time = np.cumsum(dt)
+def test_steps_of_any_length_give_the_same_attitude():
+    time = np.cumsum(np.random.default_rng(1).uniform(0.002, 0.008, 1000))
     attitude = AttitudeFilter(replace(CONFIG, rate_bias_sigma=np.zeros(3)))
-    for step, t in zip(dt, time, strict=True):
+    errors = []
+    for step, t in zip(np.diff(time, prepend=0.0), time, strict=True):
         roll = 0.5 * np.sin(3.0 * t)
         force = np.array([0.0, G * np.sin(roll), G * np.cos(roll)])
         rate = np.array([1.5 * np.cos(3.0 * t), 0.0, 0.0])
         attitude.push(Sample(step, rate, force, *DENSITIES, False, False))
-    # The chord alone would be off by w^2 dt^2 / 12 of the 0.5 rad: 4e-5.
-    turned = attitude.R_nb @ Rotation.from_euler('x', 0.5 * np.sin(3.0 * time[-1])).as_matrix().T
-    assert np.linalg.norm(log_so3(np.ascontiguousarray(turned))) < 2e-4
+        errors.append(roll - np.arctan2(attitude.R_nb[2, 1], attitude.R_nb[2, 2]))
+    # (w dt)^2 / 12 of the 0.5 rad, 1e-5, is what chords would leave; parabolas leave half of it.
+    assert np.abs(errors).max() < 9e-6
 
 
 def test_a_gap_is_bridged_with_the_last_rate_and_admitted(rng):
