@@ -70,7 +70,7 @@ def _credible(x: Vector, P: Matrix, memory: Vector, variance: float) -> bool:
     """
     expected = P[3, 3] + P[4, 4] + P[5, 5] + 3.0 * variance
     square = x[3] ** 2 + x[4] ** 2 + x[5] ** 2
-    slowed = memory[20] < 0.0 or square <= SLOWED_SQUARE * max(memory[20], square)
+    slowed = memory[20] < 0.0 or square <= max(SLOWED_SQUARE * memory[20], expected / 3.0)
     return bool(slowed and square < CREDIBLE_SQUARE * expected)
 
 
