@@ -23,7 +23,7 @@ CONFIG = zv.GlrtConfig(
 OTHERS = ('gyro', 'moving_variance', 'ared')
 
 
-def strides(vigour, rate_hz, count=6):
+def strides(vigour, rate_hz, count=3):
     """Return rate and force of a foot that swings for 0.6 s and stands for 0.4 s, by `vigour`.
 
     In its stances it rolls and trembles a twentieth as much.
