@@ -18,7 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from multiimu_ros.arrays import as_vector, Matrix, Vector
-from multiimu_ros.odometry.attitude_steps import align, GAP, level, OUTAGE, step_attitude
+from multiimu_ros.odometry.attitude_steps import (
+    align,
+    GAP,
+    level,
+    OUTAGE,
+    step_attitude,
+    told_covariance,
+)
 from multiimu_ros.odometry.rest import RestBuffer, Sample
 
 __all__ = ['GAP', 'OUTAGE', 'AttitudeConfig', 'AttitudeFilter', 'level', 'step_attitude']
@@ -96,7 +103,7 @@ class AttitudeFilter:
         speed = np.full(3, np.sqrt(config.motion_sigma * config.motion_reach))
         sigmas = (np.ones(3), config.rate_bias_sigma, speed, config.force_bias_sigma)
         self._P = np.diag(np.square(np.concatenate(sigmas)))
-        self._memory = np.zeros(15)
+        self._memory = np.zeros(16)
         self._aligned = self._started = False
         self._rest = RestBuffer(config.resting_lag)
 
@@ -118,7 +125,7 @@ class AttitudeFilter:
     @property
     def P(self) -> Matrix:
         """Covariance (6, 6) of attitude (body axes) and gyro bias [rad^2], [rad^2/s^2]."""
-        return self._P[:6, :6].copy()
+        return told_covariance(self._R, self._P, self._memory)
 
     def restore_gyro_bias(self, bias: Vector, sigma: Vector) -> None:
         """Start from a saved bias (3,) [rad/s] that is good to `sigma` (3,)."""

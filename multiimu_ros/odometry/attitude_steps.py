@@ -19,6 +19,7 @@ from multiimu_ros.rotations import exp_so3, product, renormalise, right_jacobian
 
 OUTAGE = 0.2  # [s] after longer ones the readings at the two ends have nothing in common
 GAP = 0.05  # [s] longer steps hide motion: 20 Hz is the slowest IMU that we call one
+LINEAR = 0.1  # [rad] of a larger sigma a linear filter makes turns out of the next second's noise
 RADIAL_TIME = 1.0  # [s] memory of how strongly the rig accelerates
 CREDIBLE_SQUARE = 16.0  # 4 sigma; beyond it a swinging foot that looks still for a moment
 CONFIRMED = 0.1  # [s] no swing looks still for longer, but a running stance does
@@ -196,6 +197,20 @@ def _rest(
 
 
 @compiled
+def told_covariance(R: Matrix, P: Matrix, memory: Vector) -> Matrix:
+    """Return the covariance (6, 6) of attitude and gyro bias, with what gaps left of yaw unseen.
+
+    Inside, a yaw unknown by a radian would soon be believed: what is second order in it looks
+    like information.
+    """
+    told = P[:6, :6].copy()
+    for i in range(3):
+        for j in range(3):
+            told[i, j] += memory[15] * R[2, i] * R[2, j]
+    return told
+
+
+@compiled
 def step_attitude(
     R: Matrix,
     bias: Vector,
@@ -212,8 +227,8 @@ def step_attitude(
 ) -> None:
     """Take one sample.
 
-    `memory` (15,): last rate, mean square of |f| - g, rate before, last dt, last force, velocity,
-    time still.
+    `memory` (16,): last rate, mean square of |f| - g, rate before, last dt, last force, velocity,
+    time still, variance of yaw that is kept out of the filter.
     """
     error = np.zeros(SIZE)
     memory[14] = memory[14] + dt if still else 0.0
@@ -229,7 +244,9 @@ def step_attitude(
         scale = settings[10] ** 2 * np.sqrt(settings[9] / sigma)  # (5)
         yawing = scale * np.sum((rate - bias) * R[2]) ** 2
         tilting = scale * np.sum((rate - bias) ** 2) - yawing
-        rate_psd = rate_density**2 + (hidden * settings[3] ** 2 + yawing)
+        unseen = min(hidden * settings[3] ** 2, LINEAR**2 / dt)
+        memory[15] += (hidden * settings[3] ** 2 - unseen) * dt
+        rate_psd = rate_density**2 + (unseen + yawing)
         force_psd = np.mean(force_density**2) + hidden * settings[0] ** 2
         _advance(R, bias, P, memory, settings, dt, rate, force, rate_psd, tilting, force_psd)
         _correct_moving(R, bias, error, P, memory, settings, dt, rate, force, white, sigma)

@@ -9,13 +9,11 @@ import numpy as np
 
 from multiimu_ros.arrays import Matrix, Vector
 from multiimu_ros.compiled import compiled
-from multiimu_ros.odometry.attitude import GAP, OUTAGE
+from multiimu_ros.odometry.attitude_steps import GAP, LINEAR, OUTAGE
 from multiimu_ros.odometry.error_updates import begin_rest, update
 from multiimu_ros.odometry.kalman import propagate
 from multiimu_ros.odometry.strapdown import curvature, increments
 from multiimu_ros.rotations import exp_so3, product, renormalise, right_jacobian, skew
-
-LINEAR = 0.1  # [rad] of a larger sigma a linear filter makes turns out of the next second's noise
 
 
 @compiled
