@@ -11,7 +11,8 @@ import time
 
 from multiimu_ros.bags import BagWriter, ImuRecording, read_imus
 from multiimu_ros.bags.cdr import encode_imus
-from multiimu_ros.cli.fuse import fused_frames, write_fused
+from multiimu_ros.cli.fuse import fused_frames
+from multiimu_ros.cli.fused_bag import fused_bag, write_fused
 from multiimu_ros.pipeline import Pipeline, PipelineConfig
 from multiimu_ros.rig import Rig
 from multiimu_ros.simulation.calibrated import calibrated_rig
@@ -69,7 +70,8 @@ def run(rig: Rig, bag: Path, folder: Path, config: PipelineConfig) -> tuple[floa
     imus = list(range(IMUS))
     deque(fused_frames(Pipeline(rig, config), recording, imus), maxlen=0)
     fused = time.perf_counter()
-    write_fused(fused_frames(Pipeline(rig, config), recording, imus), out, rig, 'mcap')
+    with fused_bag(out, 'mcap', 'base_link') as made:
+        write_fused(made, fused_frames(Pipeline(rig, config), recording, imus))
     return read - begin, fused - read, time.perf_counter() - fused
 
 

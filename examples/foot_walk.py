@@ -6,7 +6,7 @@
 Both leave in `foot_walk/` a bag that any ROS tool plays, the rig file that says what is known of
 the IMU, and `fuse.html` with the pictures.  From here on the terminal does the same:
 
-    multiimu fuse foot_walk/bag --rig foot_walk/rig.yaml --profile foot -o foot_walk/fused
+    cd foot_walk; multiimu fuse bag --rig rig.yaml --profile foot -o fused --report .
 """
 
 import argparse

@@ -7,33 +7,27 @@ that the live output and the one from a bag are the same numbers.  No ROS, no cl
 the stamps say.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from multiimu_ros.arrays import Stamps, Vector, Vectors
-from multiimu_ros.calibration.sensor_model import affine
-from multiimu_ros.fused_frame import FusedFrame, write_record
+from multiimu_ros.arrays import Matrix, Stamps, Vector, Vectors
+from multiimu_ros.assembly import entrance, navigator
+from multiimu_ros.chain import Block, fresh_block, FUSED, note_rest, RESTING, run_scans, STILL
+from multiimu_ros.fused_frame import FusedFrame
 from multiimu_ros.fusion.age import is_dated
-from multiimu_ros.fusion.array_fusion import ArrayFusion, FusedImu
+from multiimu_ros.fusion.array_fusion import ArrayFusion
 from multiimu_ros.fusion.benefit import Benefit, BenefitMeter
 from multiimu_ros.fusion.drift import DriftMonitor
-from multiimu_ros.fusion.rig_model import bias_walk_density, rig_model
-from multiimu_ros.odometry.attitude import AttitudeFilter
-from multiimu_ros.odometry.error_state import ErrorStateFilter
-from multiimu_ros.odometry.profiles import odometry_configs, PROFILES
-from multiimu_ros.odometry.rest import RestBuffer, Sample
-from multiimu_ros.odometry.zero_velocity import StillnessDetector
+from multiimu_ros.fusion.rig_model import rig_model
+from multiimu_ros.odometry.saved_state import Owner, SavedState
 from multiimu_ros.pipeline_config import ImuHealth, PipelineConfig, Rest
-from multiimu_ros.registration.transform import mounting
 from multiimu_ros.rig import Rig
-from multiimu_ros.synchronization.synchronizer import Scan, Synchronizer
+from multiimu_ros.synchronization.synchronizer import scan_of
 
 __all__ = ['FusedFrame', 'ImuHealth', 'Pipeline', 'PipelineConfig', 'Rest']
 
 NO_FRAMES: tuple[FusedFrame, ...] = ()  # what nearly every push returns
-GAIN_MEMORY = 1000  # scans that the mean gain of interpolation looks back
-FIRST_STEP = 0.005  # [s] stands in for the time since a sample that was never there
 
 
 class Pipeline:
@@ -45,6 +39,13 @@ class Pipeline:
         Everything known about the IMUs.
     config : PipelineConfig
         What comes in, and what the rig is mounted on.
+
+    Attributes
+    ----------
+    frames, empty_scans : int
+        Scans with and without an IMU that could be trusted.
+    odometry_config : ErrorStateConfig
+        What the odometry was told of rig and motion.
     """
 
     def __init__(self, rig: Rig, config: PipelineConfig) -> None:
@@ -53,8 +54,9 @@ class Pipeline:
         self._build()
 
     def _build(self) -> None:
-        self._synchronizer = _entrance(self._rig, self._config)
+        self._synchronizer = entrance(self._rig, self._config)
         self._jumps = -1  # before the first scan
+        self._saved: SavedState | None = None
         self._weights = np.zeros(len(self._rig.imus))
         self.frames = 0
         self.empty_scans = 0
@@ -64,26 +66,11 @@ class Pipeline:
         """Build what believes the rig file's biases as much as their age allows."""
         rig, config = self._rig, self._config
         model = rig_model(rig, now_ns, config.virtual_imu)
-        walk = bias_walk_density(rig)
-        bias_sigma = np.sqrt(model.bias_variance.sum(axis=0)) / len(model.bias_variance)
-        detector, attitude, odometry = odometry_configs(
-            PROFILES[config.profile],
-            gravity=rig.rig.gravity_magnitude,
-            rate_bias_sigma=bias_sigma[:3],
-            force_bias_sigma=bias_sigma[3:],
-            rate_bias_walk=walk[:3],
-            force_bias_walk=walk[3:],
-        )
         self._fusion = ArrayFusion(model, config.fusion)
         self._drift = DriftMonitor(rig, model)
         self._meter = BenefitMeter(len(rig.imus))
         self._noise_gain = np.ones(len(rig.imus))
-        self._detector = StillnessDetector(detector)
-        self._rest = RestBuffer(attitude.resting_lag)
-        self._attitude = AttitudeFilter(attitude)
-        self._odometry = ErrorStateFilter(odometry)
-        self._last_ns: int | None = None
-        self._rested_s, self._rested_ns = 0.0, 0
+        self._navigator, self.odometry_config = navigator(rig, model, config)
 
     def reset(self) -> None:
         """Start anew, as after construction."""
@@ -103,10 +90,14 @@ class Pipeline:
         values : 6 numbers
             Angular rate [rad/s], then specific force [m/s^2], as `PipelineConfig.input` says.
         """
-        scans = self._synchronizer.push(imu, stamp_ns, values)
-        if not scans:
+        due = self._synchronizer.take(imu, stamp_ns, values)
+        if not due:
             return NO_FRAMES
-        return [frame for scan in scans if (frame := self._step(scan)) is not None]
+        return [
+            frame
+            for due_ns, rows in due
+            for frame in self._advance(np.array([due_ns]), rows[np.newaxis])
+        ]
 
     def push_block(self, imus: Stamps, stamps_ns: Stamps, values: Vectors) -> Iterator[FusedFrame]:
         """Take N readings at once; yield the frames that N calls of `push` return.
@@ -118,69 +109,90 @@ class Pipeline:
         values : (N, 6) array
             Angular rate [rad/s], then specific force [m/s^2].
         """
-        scans: Iterable[Scan] = self._synchronizer.push_block(imus, stamps_ns, values)
         if self._config.master == 'scaat':  # which asks for the samples of each scan
-            one_by_one = zip(imus.tolist(), stamps_ns.tolist(), values, strict=True)
-            scans = (scan for reading in one_by_one for scan in self._synchronizer.push(*reading))
-        for scan in scans:
-            if (frame := self._step(scan)) is not None:
-                yield frame
+            for reading in zip(imus.tolist(), stamps_ns.tolist(), values, strict=True):
+                yield from self.push(*reading)
+            return
+        for stamps, scans in self._synchronizer.take_block(imus, stamps_ns, values):
+            yield from self._advance(stamps, scans)
 
-    def _step(self, scan: Scan) -> FusedFrame | None:
-        if self._synchronizer.time_jumps != self._jumps:
-            self._begin(scan.stamp_ns)
+    def _advance(self, stamps: Stamps, scans: Matrix) -> Iterator[FusedFrame]:
+        """Take scans with stamps (M,) and rows (M, K, 8), between which time does not jump."""
+        if len(stamps) and self._synchronizer.time_jumps != self._jumps:
+            self._begin(int(stamps[0]))
+        block, first = fresh_block(stamps, scans), 0
+        while first < len(stamps):
+            rest = block.after(first)
+            done = self._run(rest) if self._fusion.is_compiled else self._step(rest)
+            for n, (fused, still, resting) in enumerate(rest.flags[:done].tolist()):
+                if fused:
+                    self.frames += 1
+                    self._weights = rest.weights[n]
+                    row = self._weights, rest.records[n]
+                    yield FusedFrame(int(rest.stamp_ns[n]), still, resting, *row)
+                else:
+                    self.empty_scans += 1
+            first += done
+
+    def _run(self, block: Block) -> int:
+        """Take scans in one compiled call, until something is due; return how many."""
+        due_ns = min(self._fusion.due_ns, self._drift.due_ns)
+        navigated, table = self._navigator.is_compiled, np.empty((4, 6))
+        done = run_scans(
+            *self._fusion.arrays, *self._navigator.arrays, self._meter.state, self._noise_gain,
+            due_ns, table, *block,
+        )  # fmt: skip
+        last = block.after(done - 1)
+        if last.flags[0, FUSED] and not navigated:
+            self._navigate(last, table)
+        self._look_back(last)
+        return done
+
+    def _step(self, block: Block) -> int:
+        """Take the first scan with a filter that is not compiled; return 1."""
+        scan = scan_of(int(block.stamp_ns[0]), block.scans[0])
         one_by_one = self._config.master == 'scaat'
         arrivals = self._synchronizer.arrivals(scan.stamp_ns) if one_by_one else None
         fused = self._fusion.push(scan, arrivals)
-        if fused is None:
-            self.empty_scans += 1
-            return None
-        self._weights = fused.weights
-        self.frames += 1
-        return self._navigate(scan, fused)
+        if fused is not None:
+            block.weights[0], block.flags[0, FUSED] = fused.weights, True
+            self._navigate(block, fused.table)
+        self._look_back(block)
+        return 1
+
+    def _navigate(self, block: Block, table: Vectors) -> None:
+        """Navigate by the first scan of a block, filter by filter."""
+        scan = scan_of(int(block.stamp_ns[0]), block.scans[0])
+        trusted = np.where(block.weights[0][:, np.newaxis] > 0.0, scan.values, np.nan)
+        density = self._fusion.density * np.sqrt(scan.noise_gain)[:, np.newaxis]
+        block.records[0], still, resting = self._navigator.push(
+            scan.stamp_ns, table, trusted, density
+        )
+        block.flags[0, STILL], block.flags[0, RESTING] = still, resting
+        note_rest(
+            self._meter.state, self._noise_gain, scan.values, scan.noise_gain, table[0], resting
+        )
+
+    def _look_back(self, block: Block) -> None:
+        """Do what is due every now and then, after the first scan of a block."""
+        stamp_ns, resting = int(block.stamp_ns[0]), bool(block.flags[0, RESTING])
+        if stamp_ns >= self._fusion.due_ns:
+            self._fusion.relearn(stamp_ns)
+        if block.flags[0, FUSED] and stamp_ns >= self._drift.due_ns:
+            self._drift.take(self._fusion.block, stamp_ns, resting)
 
     def _begin(self, stamp_ns: int) -> None:
         """Age the rig file to the first scan, or forget the motion where time has jumped."""
         if self._jumps >= 0:
             self._fusion.restart()
             self._drift.restart()
-            self._odometry.reset_motion()
-            self._rest.clear()
-            self._last_ns = None
+            self._navigator.restart()
         elif is_dated(self._rig):
             self._build_filters(stamp_ns)
+        if self._saved is not None:
+            self._navigator.restore(self._saved, self.odometry_config, stamp_ns)
+            self._saved = None
         self._jumps = self._synchronizer.time_jumps
-
-    def _navigate(self, scan: Scan, fused: FusedImu) -> FusedFrame:
-        """Move attitude and odometry on by one fused reading."""
-        dt = FIRST_STEP if self._last_ns is None else (fused.stamp_ns - self._last_ns) * 1e-9
-        self._last_ns = fused.stamp_ns
-        rate, force = fused.values[:3], fused.values[3:]
-        densities = fused.density[:3], fused.density[3:]
-        attitude, odometry = self._attitude, self._odometry
-        still, resting = self._detector.push(
-            dt, rate - attitude.gyro_bias, force - odometry.accel_bias, *densities
-        )
-        self._meter.push(scan.values, fused.values, still=resting)
-        if resting:
-            self._noise_gain += (scan.noise_gain - self._noise_gain) / GAIN_MEMORY
-        for sample in self._rest.push(Sample(dt, rate, force, *densities, still, resting)):
-            attitude.step(sample)
-            odometry.step(sample)
-            if sample.resting:
-                self._rested_s += sample.dt
-                self._rested_ns = fused.stamp_ns
-        if fused.stamp_ns >= self._drift.due_ns:
-            self._drift.take(self._fusion.block, fused.stamp_ns, resting)
-        return self._frame(fused, still)
-
-    def _frame(self, fused: FusedImu, still: bool) -> FusedFrame:
-        attitude, odometry = self._attitude, self._odometry
-        record = write_record(
-            fused.table, attitude.R_nb, attitude.gyro_bias, attitude.P,
-            odometry.state, odometry.R_nb, odometry.P,
-        )  # fmt: skip
-        return FusedFrame(fused.stamp_ns, still, fused.weights, record)
 
     def set_enabled(self, imu: int, enabled: bool) -> None:
         """Leave one IMU out by hand, or take it back."""
@@ -217,6 +229,20 @@ class Pipeline:
         """How often the stamps went back by more than `SyncConfig.jump_s`."""
         return self._synchronizer.time_jumps
 
+    @property
+    def owner(self) -> Owner:
+        """Whose state `snapshot` returns and `restore` takes."""
+        x, y, z = self._config.virtual_imu
+        return Owner(self._rig, self._config.profile, (x, y, z))
+
+    def snapshot(self) -> SavedState | None:
+        """Return the state of the filters, for a restart; None before the first frame."""
+        return self._navigator.snapshot(self.owner)
+
+    def restore(self, state: SavedState) -> None:
+        """Go on from the state of a run before, once the first scan is there."""
+        self._saved = state
+
     def biases(self) -> tuple[Vectors, Vectors, Rest]:
         """Return what is known of each IMU's bias, in the base frame.
 
@@ -231,27 +257,14 @@ class Pipeline:
         Rest
             What the rate was learnt from.
         """
-        common = np.concatenate([self._attitude.gyro_bias, self._odometry.accel_bias])
-        shared = np.concatenate([np.diag(self._attitude.P)[3:], np.diag(self._odometry.P)[12:]])
+        attitude, odometry = self._navigator.attitude, self._navigator.odometry
+        common = np.concatenate([attitude.gyro_bias, odometry.accel_bias])
+        shared = np.concatenate([np.diag(attitude.P)[3:], np.diag(odometry.P)[12:]])
         offsets, variance = self._drift.rest_offsets()
-        rest = Rest(self._rested_s, self._rested_ns)
+        rest = Rest(self._navigator.rested_s, self._navigator.rested_ns)
         return offsets + common, variance + len(variance) * shared, rest
 
 
 def _state(stream: str, fault: str) -> str:
     """Return the state of an IMU in a word: what its stream is, or what the guard thinks."""
     return fault if stream == 'ok' and fault in ('excluded', 'ambiguous') else stream
-
-
-def _entrance(rig: Rig, config: PipelineConfig) -> Synchronizer:
-    """Return the synchroniser, with calibration and registration at its door where still due."""
-    maps, offsets_ns = np.zeros((len(rig.imus), 6, 7)), np.zeros(len(rig.imus), dtype=np.int64)
-    maps[:, :, :6] = np.eye(6)
-    for k, imu in enumerate(rig.imus):
-        if config.input == 'raw':
-            A, c = affine(imu.intrinsics)
-            maps[k] = np.column_stack([A, c])
-        if config.input != 'registered':
-            R, offsets_ns[k] = mounting(imu)
-            maps[k] = R @ maps[k]
-    return Synchronizer(len(rig.imus), config.sync, maps, offsets_ns)

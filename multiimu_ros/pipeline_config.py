@@ -12,11 +12,14 @@ from multiimu_ros.fusion.faults import FaultState
 from multiimu_ros.fusion.local_filters import Local
 from multiimu_ros.fusion.masters import Master as BankMaster, Reset
 from multiimu_ros.fusion.prefilters import Prefilter
+from multiimu_ros.odometry.detectors import Detector
 from multiimu_ros.rig import ZERO
 from multiimu_ros.synchronization.synchronizer import SyncConfig
 
 Input = Literal['raw', 'calibrated', 'registered']
 ProfileName = Literal['hand', 'foot', 'vehicle']
+Attitude = Literal['error_state', 'rk4', 'madgwick']
+Odometry = Literal['error_state', 'seeds', 'federated']
 
 # How fast rate and force may change between two scans: generous, so that the fused IMU has no
 # lag; smoothing is left to the filters downstream, which know the motion.
@@ -56,6 +59,12 @@ class PipelineConfig:
         Cutoff of the prefilter [Hz].
     virtual_imu : 3 floats
         Where the fused IMU sits, in the base frame [m].
+    zero_velocity : str
+        What tells that the rig stands still: glrt, gyro, moving_variance, ared; or none.
+    attitude : {'error_state', 'rk4', 'madgwick'}
+        Filter of the orientation; the others are the schemes of the sources.
+    odometry : {'error_state', 'seeds', 'federated'}
+        Filter of the position: of the fused IMU, the scheme of the sources, or one for each IMU.
     sync : SyncConfig
         Patience and probation of the synchroniser.
 
@@ -76,6 +85,9 @@ class PipelineConfig:
     prefilter: Prefilter = 'none'
     cutoff_hz: float = 40.0
     virtual_imu: tuple[float, ...] = ZERO
+    zero_velocity: Detector = 'glrt'
+    attitude: Attitude = 'error_state'
+    odometry: Odometry = 'error_state'
     sync: SyncConfig = field(default_factory=SyncConfig)
 
     def __post_init__(self) -> None:
@@ -122,6 +134,9 @@ CHOICES: dict[str, tuple[str, ...]] = {
     'reset': get_args(Reset),
     'noise': get_args(Noise),
     'prefilter': get_args(Prefilter),
+    'zero_velocity': get_args(Detector),
+    'attitude': get_args(Attitude),
+    'odometry': get_args(Odometry),
 }
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-import shutil
 import time
 from typing import Annotated, Any, cast
 
@@ -10,10 +9,12 @@ import numpy as np
 import typer
 
 from multiimu_ros.arrays import NANOSECONDS
-from multiimu_ros.bags import BagWriter, find_imu_topics, ImuRecording, list_topics, read_imus
-from multiimu_ros.bags.cdr import encode_imus, encode_odometry
+from multiimu_ros.bags import find_imu_topics, ImuRecording, list_topics, read_imus
+from multiimu_ros.cli.fused_bag import fused_bag, FusedBag, write_fused
+from multiimu_ros.cli.hindsight import smoothed, smoothed_columns, Tape
 from multiimu_ros.cli.options import (
     AsJson,
+    make_folder,
     OptionsFile,
     print_json,
     print_table,
@@ -23,24 +24,11 @@ from multiimu_ros.cli.options import (
 from multiimu_ros.fusion.benefit import Benefit
 from multiimu_ros.pipeline import FusedFrame, ImuHealth, Pipeline, PipelineConfig
 from multiimu_ros.pipeline_config import CHOICES, fused_frame_id
-from multiimu_ros.rig import load_rig, Rig
-from multiimu_ros.samples import ImuSamples
+from multiimu_ros.report.walk import joined, smoothed_walk, Walk, WalkRecorder
+from multiimu_ros.rig import load_rig
 
-BLOCK = 4096  # readings fused, and frames written, at a time
+BLOCK = 4096  # readings fused at a time
 NOISES = (('rate', 1e3 * np.rad2deg(1.0), 'mdeg/s'), ('force', 1e3, 'mm/s^2'))
-COLUMNS = (
-    'angular_rate',
-    'angular_rate_covariance',
-    'specific_force',
-    'specific_force_covariance',
-    'orientation',
-    'orientation_covariance',
-    'position_n',
-    'odom_orientation',
-    'pose_covariance',
-    'velocity_b',
-    'twist_covariance',
-)
 
 app = typer.Typer(add_completion=False)
 
@@ -70,6 +58,15 @@ def fuse(
         tuple[float, float, float], typer.Option(help='Where the fused IMU sits, base frame [m].')
     ] = (0.0, 0.0, 0.0),
     virtual_imu_frame: Annotated[str, typer.Option(help='Name of the frame at that point.')] = '',
+    zero_velocity: Annotated[str, _choice('zero_velocity', 'What tells of stillness')] = 'glrt',
+    attitude: Annotated[str, _choice('attitude', 'Filter of the orientation')] = 'error_state',
+    odometry: Annotated[str, _choice('odometry', 'Filter of the position')] = 'error_state',
+    smooth: Annotated[
+        bool, typer.Option('--smooth', help='Make `odom` anew, knowing the whole recording.')
+    ] = False,
+    report: Annotated[
+        Path | None, typer.Option(help='Folder for `fuse.html`, with the path as pictures.')
+    ] = None,
     storage: Annotated[str, typer.Option(help='mcap or sqlite3.')] = 'mcap',
     as_json: AsJson = False,
     options: OptionsFile = None,  # noqa: ARG001 read by its callback
@@ -80,15 +77,30 @@ def fuse(
         profile=cast('Any', profile), local=cast('Any', local), master=cast('Any', master),
         reset=cast('Any', reset), fuse_every=fuse_every, noise=cast('Any', noise), guard=guard,
         prefilter=cast('Any', prefilter), cutoff_hz=cutoff_hz, virtual_imu=virtual_imu,
+        zero_velocity=cast('Any', zero_velocity), attitude=cast('Any', attitude),
+        odometry=cast('Any', odometry),
     )  # fmt: skip
     frame_id = fused_frame_id(board.rig.base_frame, virtual_imu, virtual_imu_frame)
     pipeline = Pipeline(board, config)
     names = find_imu_topics(list_topics(bag), board.names, split_names(topics))
+    if report is not None:
+        make_folder(report)
     begin = time.perf_counter()
     recording = read_imus(bag, list(names.values()))
     frames = fused_frames(pipeline, recording, list(names))
-    still = write_fused(frames, output, board, storage, frame_id)
+    recorder = WalkRecorder()
+    walk: Walk | None = None
+    with fused_bag(output, storage, frame_id) as fused:
+        if report is not None:
+            frames = recorder.watch(frames)
+        if smooth:
+            still, walk = _write_smoothed(fused, pipeline, frames, recorder)
+        else:
+            still = write_fused(fused, frames)
     summary = _summary(pipeline, recording, still, time.perf_counter() - begin)
+    if report is not None:
+        about = bag.resolve().name, board.rig.name, profile
+        summary['report'] = _write_page(report, about, pipeline, recorder.walk(), walk)
     if as_json:
         print_json(summary)
         return
@@ -98,9 +110,48 @@ def fuse(
         [_row(imu) for imu in summary['imus']],
     )
     typer.echo(_gain(pipeline.benefit()))
+    if report is not None:
+        typer.echo(f'The path as pictures: {summary["report"]}')
     for imu in summary['imus']:
         if imu['recalibrate']:
             typer.echo(f'{imu["name"]}: recalibrate it; its {imu["recalibrate"]} is off')
+
+
+def _write_smoothed(
+    bag: FusedBag, pipeline: Pipeline, frames: Iterator[FusedFrame], recorder: WalkRecorder
+) -> tuple[float, Walk | None]:
+    """Write the frames with the odometry in hindsight.
+
+    Returns
+    -------
+    float
+        Share of still frames.
+    Walk or None
+        The odometry in hindsight, where `recorder` has watched the frames.
+    """
+    tape = Tape(frames)
+    live = recorder.walk() if recorder.watches else None
+    walks = []
+    for block in smoothed(pipeline, tape):
+        bag.write(*smoothed_columns(tape, block))
+        if live is not None:
+            walks.append(smoothed_walk(live, block))
+    return float(np.mean(tape.flags[:, 0])), joined(walks) if walks else None
+
+
+def _write_page(
+    folder: Path, about: tuple[str, str, str], pipeline: Pipeline, live: Walk, best: Walk | None
+) -> str:
+    """Write the report; `about` are the names of recording, rig and profile."""
+    # matplotlib takes a second
+    from multiimu_ros.report.walk_page import WalkFacts, write_walk_page  # noqa: PLC0415
+
+    recording, rig, profile = about
+    facts = WalkFacts(
+        recording=recording, rig=rig, profile=cast('Any', profile), imus=pipeline.health(),
+        benefit=_gain(pipeline.benefit()),
+    )  # fmt: skip
+    return str(write_walk_page(folder, live, facts, best))
 
 
 def _row(imu: dict[str, Any]) -> dict[str, Any]:
@@ -124,60 +175,6 @@ def fused_frames(
         yield from pipeline.push_block(streams[part], stamps_ns[part], values[part])
 
 
-def write_fused(
-    frames: Iterator[FusedFrame], path: Path, rig: Rig, storage: str, frame_id: str = ''
-) -> float:
-    """Write the frames as a bag, which vanishes if that fails; return the share of still ones.
-
-    They are in the frame `frame_id`, which is the rig's base frame where it is empty.
-    """
-    frame_id = frame_id or rig.rig.base_frame
-    bag = BagWriter(path, storage)
-    still: list[bool] = []
-    block: list[FusedFrame] = []
-    try:
-        with bag:
-            bag.add_topic('/imu/data', 'sensor_msgs/msg/Imu')
-            bag.add_topic('/odom', 'nav_msgs/msg/Odometry')
-            for frame in frames:
-                block.append(frame)
-                still.append(frame.still)
-                if len(block) == BLOCK:
-                    _write_block(bag, block, frame_id)
-                    block.clear()
-            _write_block(bag, block, frame_id)
-    except BaseException:
-        shutil.rmtree(path)
-        raise
-    return float(np.mean(still)) if still else float('nan')
-
-
-def _write_block(bag: BagWriter, frames: list[FusedFrame], frame_id: str) -> None:
-    finite = [frame for frame in frames if np.isfinite(frame.record).all()]  # as the nodes do
-    if not finite:
-        return
-    column = {name: np.array([getattr(frame, name) for frame in finite]) for name in COLUMNS}
-    stamp_ns = np.array([frame.stamp_ns for frame in finite])
-    samples = ImuSamples(stamp_ns, column['angular_rate'], column['specific_force'])
-    imus = encode_imus(
-        frame_id,
-        samples,
-        rate_covariance=column['angular_rate_covariance'],
-        force_covariance=column['specific_force_covariance'],
-        orientation=column['orientation'],
-        orientation_covariance=column['orientation_covariance'],
-    )
-    odometry = encode_odometry(
-        ('odom', frame_id),
-        samples.stamp_ns,
-        (column['position_n'], column['odom_orientation'], column['pose_covariance']),
-        (column['velocity_b'], column['angular_rate'], column['twist_covariance']),
-    )
-    for stamp_ns, imu, odom in zip(samples.stamp_ns.tolist(), imus, odometry, strict=True):
-        bag.write('/imu/data', stamp_ns, imu)
-        bag.write('/odom', stamp_ns, odom)
-
-
 def _health(imu: ImuHealth) -> dict[str, Any]:
     """Return the state of one IMU: plain figures, and its gaps to the others under their names."""
     gaps = {name: gap._asdict() for name, gap in vars(imu.disagreement).items()}
@@ -194,10 +191,11 @@ def _gain(noise: Benefit) -> str:
     words = []
     for k, (what, factor, unit) in enumerate(NOISES):
         fused, single, ideal = noise.fused_noise[k], noise.best_single[k], noise.ideal[k]
-        words.append(
-            f'{what} {factor * fused:.3g} {unit}, {single / fused:.2f} x quieter than the best '
-            f'single IMU (ideal {single / ideal:.2f} x)'
-        )
+        word = f'{what} {factor * fused:.3g} {unit}'
+        if single != noise.mean_single[k]:  # there are several IMUs
+            gain = f'{single / fused:.2f} x quieter than the best single IMU'
+            word += f', {gain} (ideal {single / ideal:.2f} x)'
+        words.append(word)
     return f'Noise at rest: {"; ".join(words)}.'
 
 

@@ -152,6 +152,15 @@ class ArrayFusion:
         Noise, uncertainty and lever arm of every IMU, in the base frame.
     config : ArrayFusionConfig
         Process noise and filters.
+
+    Attributes
+    ----------
+    arrays : tuple of arrays
+        The first parameters of `fuse_scan`, changed in place.
+    is_compiled : bool
+        Whether `fuse_scan` is all that `push` does with a scan, but for `relearn`.
+    due_ns : int
+        Stamp from which on `relearn` is due [ns].
     """
 
     def __init__(self, model: RigModel, config: ArrayFusionConfig) -> None:
@@ -160,7 +169,7 @@ class ArrayFusion:
         self._settings[:3] = config.angular_acceleration_sigma
         self._settings[3:6] = config.jerk_sigma
         self._settings[GUARD], self._settings[LEARN] = config.guard, config.noise == 'learnt'
-        self._memory = (*model, *self._state, self._settings)
+        self.arrays = (*model, *self._state, self._settings)
         self._fuse: BankScans | ScaatScans | None = None
         tools = (model, self._state, self._settings)
         if config.master == 'scaat':
@@ -171,6 +180,7 @@ class ArrayFusion:
                 reset=config.reset, every=config.fuse_every,
             )  # fmt: skip
             self._fuse = BankScans(*tools, bank)
+        self.is_compiled = self._fuse is None and config.prefilter == 'none'
         self._prefilter: ScanPrefilter | None = None
         self.restart()
 
@@ -182,7 +192,7 @@ class ArrayFusion:
         state.scans[0] = 0
         state.clock[:] = state.spread[:] = 0.0
         self.block[:] = 0.0
-        self._prefilter, self._due_ns = None, -(2**63)
+        self._prefilter, self.due_ns = None, -(2**63)
         self._early: list[Vectors] = []  # scans before the prefilter
         if self._fuse is not None:
             self._fuse.restart()
@@ -222,13 +232,12 @@ class ArrayFusion:
             scan = self._filtered(scan)
         if self._fuse is None:
             out, weights = kernels.fuse_scan(
-                *self._memory, scan.stamp_ns, scan.values, scan.share, scan.noise_gain
+                *self.arrays, scan.stamp_ns, scan.values, scan.share, scan.noise_gain
             )
         else:
             out, weights = self._fuse.push(scan, arrivals)
-        if self._config.noise == 'learnt' and scan.stamp_ns >= self._due_ns:
-            self._due_ns = scan.stamp_ns + RELEARN_NS
-            self._relearn()
+        if scan.stamp_ns >= self.due_ns:
+            self.relearn(scan.stamp_ns)
         # A triad that nobody has measured yet is unknown; the sum is the quickest way to ask.
         if not isfinite(out.ravel()[:12] @ TWELVE):
             return None
@@ -252,7 +261,11 @@ class ArrayFusion:
             values = np.where(at_limit.any(axis=1, keepdims=True), scan.values, values)
         return replace(scan, values=values)
 
-    def _relearn(self) -> None:
+    def relearn(self, stamp_ns: int) -> None:
+        """Look at what the noise was learnt to be, if it is; due from `due_ns` on."""
+        self.due_ns = stamp_ns + RELEARN_NS
+        if self._config.noise == 'rig':
+            return
         R, known = learnt_variance(self._state.hat)
         density = np.sqrt(R * self._state.clock[PERIOD])
         self._state.density[known] = density[known]

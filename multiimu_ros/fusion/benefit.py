@@ -135,12 +135,12 @@ class BenefitMeter:
     """The same on a live stream of scans of `count` IMUs."""
 
     def __init__(self, count: int) -> None:
-        self._state = benefit_state(count)
+        self.state = benefit_state(count)
 
     def push(self, z: Vectors, fused: Vector, *, still: bool) -> None:
         """Take the readings (K, 6) and the fused value (6,) of one scan into account."""
-        measure(self._state, z, fused, still)
+        measure(self.state, z, fused, still)
 
     def benefit(self, R: Vectors) -> Benefit:
         """Return what the rests so far have shown; see `benefit`."""
-        return benefit(self._state, R)
+        return benefit(self.state, R)

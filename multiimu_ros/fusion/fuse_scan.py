@@ -183,6 +183,26 @@ def note_fused(state: FusionState, first: int, x: Vector, P: Vector) -> None:
 
 
 @compiled
+def fuse(
+    model: RigModel,
+    state: FusionState,
+    settings: Vector,
+    stamp: int,
+    values: Vectors,
+    share: Scalars,
+    noise_gain: Scalars,
+) -> tuple[Vectors, Scalars]:
+    """Fuse one scan as `fuse_scan` does, for callers that are compiled themselves."""
+    z, R, at_limit = open_scan(model, state, settings, stamp, values, share, noise_gain)
+    b = np.zeros_like(R)
+    _fuse_triad(state, settings, z, R, b, RATES)
+    bridge_gap(model, state, settings, z, R, at_limit, b)
+    level(model, state, settings, stamp, z, R)
+    _fuse_triad(state, settings, z, R, b, FORCES)
+    return close_scan(model, state, settings, z, R, b, at_limit, share, noise_gain)
+
+
+@compiled
 def fuse_scan(
     density: Vectors,
     bias_variance: Vectors,
@@ -232,10 +252,4 @@ def fuse_scan(
     state = FusionState(
         fused, offsets, tally, stamps, rates, scans, clock, learnt, guard, hat, spread, bridge,
     )  # fmt: skip
-    z, R, at_limit = open_scan(model, state, settings, stamp, values, share, noise_gain)
-    b = np.zeros_like(R)
-    _fuse_triad(state, settings, z, R, b, RATES)
-    bridge_gap(model, state, settings, z, R, at_limit, b)
-    level(model, state, settings, stamp, z, R)
-    _fuse_triad(state, settings, z, R, b, FORCES)
-    return close_scan(model, state, settings, z, R, b, at_limit, share, noise_gain)
+    return fuse(model, state, settings, stamp, values, share, noise_gain)

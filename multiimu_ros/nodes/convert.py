@@ -175,5 +175,5 @@ def odometry_numbers(frame: FusedFrame) -> Vector:
 def still_twist_numbers(frame: FusedFrame) -> Vector:
     """Return the (42,) numbers of `zero_velocity`: twist zero, with the frame's covariance."""
     numbers = np.zeros(42)
-    numbers[6:] = frame.record[record.TWIST_P : record.SIZE]
+    numbers[6:] = frame.record[record.TWIST_P : record.BIAS]
     return numbers

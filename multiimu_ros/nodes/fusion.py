@@ -28,6 +28,7 @@ from multiimu_ros.nodes.biases import with_biases
 from multiimu_ros.nodes.diagnostics import Diagnostics, Status
 from multiimu_ros.nodes.health import HealthOutput, HealthReport
 from multiimu_ros.nodes.inputs import declare_rig, ImuInput, ImuInputs
+from multiimu_ros.nodes.kept_state import KeptState
 from multiimu_ros.nodes.outputs import Output
 from multiimu_ros.nodes.parameters import declare, declare_config, warn_about_unused
 from multiimu_ros.nodes.run import run
@@ -85,6 +86,7 @@ class FusionNode(Node):
         self.pipeline = Pipeline(self.rig, config)
         self._declare_outputs(self._declare_frame(config))
         self._serve()
+        self.kept_state = KeptState(self, self.pipeline)
         self.not_finite = 0
         self.failure: MultiImuError | None = None
         self._watch: SilenceWatch | None = None
@@ -195,6 +197,11 @@ def run_fusion(make_node: Callable[[], FusionNode]) -> int:
 
     code = run(make)
     for node in nodes:
+        try:
+            node.kept_state.save()
+        except ConfigError as error:
+            sys.stderr.write(f'{error}\n')
+            code = 1
         if node.failure is not None:
             sys.stderr.write(f'{node.failure}\n')
             return 1

@@ -108,6 +108,16 @@ class AttitudeFilter:
         self._rest = RestBuffer(config.resting_lag)
 
     @property
+    def arrays(self) -> tuple[Matrix, Vector, Matrix, Vector, Vector]:
+        """What `step_attitude` changes in place, and its settings."""
+        return self._R, self._bias, self._P, self._memory, self._settings
+
+    @property
+    def started(self) -> bool:
+        """Whether there is a sample to step on from."""
+        return self._started
+
+    @property
     def aligned(self) -> bool:
         """Whether the attitude has been set by `align` or a first `push`."""
         return self._aligned

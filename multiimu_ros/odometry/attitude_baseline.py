@@ -41,6 +41,16 @@ class BaselineAttitude(ABC):
         self._finite = RestBuffer(0.0)
 
     @property
+    def arrays(self) -> tuple[Matrix, Vector, Matrix, Vector, Vector]:
+        """In the places of those of `AttitudeFilter`, which its kernel alone would need."""
+        return self._R, self._bias, self._P, np.zeros(0), np.zeros(0)
+
+    @property
+    def started(self) -> bool:
+        """Whether there is a sample to step on from."""
+        return self._last_rate is not None
+
+    @property
     def aligned(self) -> bool:
         """Whether the attitude has been set by `align` or a first `push`."""
         return self._aligned

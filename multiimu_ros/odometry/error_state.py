@@ -119,6 +119,16 @@ class ErrorStateFilter:
         self._rest = RestBuffer(config.resting_lag)
 
     @property
+    def arrays(self) -> tuple[Vector, Matrix, Matrix, Vector, Vector]:
+        """What `error_dynamics.step` changes in place, and its settings."""
+        return self._x, self._R, self._P, self._memory, self._settings
+
+    @property
+    def started(self) -> bool:
+        """Whether there is a sample to step on from."""
+        return self._started
+
+    @property
     def state(self) -> Vector:
         """Nominal state (15,): position, velocity, (unused), gyro bias, accel bias."""
         return self._x.copy()

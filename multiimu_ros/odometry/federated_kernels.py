@@ -9,8 +9,8 @@ import numpy as np
 
 from multiimu_ros.arrays import Matrix, Vector, Vectors
 from multiimu_ros.compiled import compiled
-from multiimu_ros.odometry.attitude import OUTAGE
-from multiimu_ros.odometry.error_dynamics import LINEAR, predict, remember
+from multiimu_ros.odometry.attitude_steps import LINEAR, OUTAGE
+from multiimu_ros.odometry.error_dynamics import predict, remember
 from multiimu_ros.odometry.error_updates import begin_rest, update
 from multiimu_ros.odometry.strapdown import cross
 from multiimu_ros.rotations import exp_so3, log_so3, product, renormalise

@@ -6,11 +6,19 @@ through a rest and learns from each sample only when it is `lag` old; when the r
 makes up for what is younger, as motion.
 """
 
-from collections import deque
-import math
 from typing import NamedTuple
 
-from multiimu_ros.arrays import Vector
+import numpy as np
+
+from multiimu_ros.arrays import Matrix, Vector
+from multiimu_ros.compiled import compiled
+
+CAPACITY = 1024  # samples withheld at most: a quarter of a second at 4 kHz
+# Columns of a row: the fields of `Sample`.
+DT, STILL, RESTING, COLUMNS = 0, 13, 14, 15
+# Fields of the clock: rows withheld, the oldest of them; their time, that of readings that were
+# not finite, and the lag [s].
+COUNT, OLDEST, SPAN, SKIPPED, LAG = range(5)
 
 
 class Sample(NamedTuple):
@@ -37,45 +45,86 @@ class Sample(NamedTuple):
     resting: bool
 
 
+@compiled
+def withhold(ring: Matrix, clock: Vector, row: Vector, ready: Matrix) -> int:
+    """Add the newest sample; put those that a filter is to process now into `ready`.
+
+    Parameters
+    ----------
+    ring : (CAPACITY, COLUMNS) array
+        Samples withheld.
+    clock : (5,) array
+        See COUNT.
+    row : (COLUMNS,) array
+        The newest sample; may change.
+    ready : (CAPACITY + 1, COLUMNS) array
+        Filled with the samples to process, oldest first.
+
+    Returns
+    -------
+    int
+        How many these are.
+    """
+    if not np.isfinite(np.sum(row[1:7])):
+        clock[SKIPPED] += row[DT]
+        return 0
+    row[DT] += clock[SKIPPED]
+    clock[SKIPPED] = 0.0
+    made = 0
+    if row[RESTING] > 0.0:
+        newest = (int(clock[OLDEST]) + int(clock[COUNT])) % CAPACITY
+        ring[newest] = row
+        clock[COUNT] += 1.0
+        clock[SPAN] += row[DT]
+        while clock[COUNT] > 0.0 and (clock[SPAN] > clock[LAG] or clock[COUNT] == CAPACITY):
+            _release(ring, clock, ready[made])
+            made += 1
+        return made
+    while clock[COUNT] > 0.0:
+        _release(ring, clock, ready[made])
+        ready[made, STILL] = ready[made, RESTING] = 0.0
+        made += 1
+    clock[SPAN] = 0.0  # no rounding from one rest to the next
+    ready[made] = row
+    return made + 1
+
+
+@compiled
+def _release(ring: Matrix, clock: Vector, out: Vector) -> None:
+    """Move the oldest sample out."""
+    oldest = int(clock[OLDEST])
+    clock[OLDEST] = (oldest + 1) % CAPACITY
+    clock[COUNT] -= 1.0
+    clock[SPAN] -= ring[oldest, DT]
+    out[:] = ring[oldest]
+
+
 class RestBuffer:
-    """A queue that passes motion through and delays rest by `lag` [s]."""
+    """A queue that passes motion through and delays rest by `lag` [s].
+
+    Attributes
+    ----------
+    arrays : tuple of arrays
+        `ring`, `clock`, `ready` of `withhold`.
+    """
 
     def __init__(self, lag: float) -> None:
-        self._lag = lag
-        self._withheld: deque[Sample] = deque()
-        self._span = 0.0
-        self._skipped = 0.0  # [s] time of readings that were not finite
+        self.arrays = (
+            np.zeros((CAPACITY, COLUMNS)),
+            np.array([0.0, 0.0, 0.0, 0.0, lag]),
+            np.zeros((CAPACITY + 1, COLUMNS)),
+        )
 
     def push(self, sample: Sample) -> list[Sample]:
         """Add the newest sample; return those that a filter is to process now, oldest first."""
-        rate, force = sample.angular_rate, sample.specific_force
-        if not math.isfinite(rate.dot(rate) + force.dot(force)):  # the quickest way to ask
-            self._skipped += sample.dt
-            return []
-        if self._skipped:
-            sample = sample._replace(dt=sample.dt + self._skipped)
-            self._skipped = 0.0
-        if not sample.resting:
-            if not self._withheld:
-                return [sample]
-            moving = [late._replace(still=False, resting=False) for late in self._withheld]
-            self.clear()
-            return [*moving, sample]
-        kept = sample._replace(  # the caller may reuse its arrays
-            angular_rate=sample.angular_rate.copy(),
-            specific_force=sample.specific_force.copy(),
-            rate_density=sample.rate_density.copy(),
-            force_density=sample.force_density.copy(),
-        )
-        self._withheld.append(kept)
-        self._span += sample.dt
-        confirmed = []
-        while self._span > self._lag:
-            confirmed.append(self._withheld.popleft())
-            self._span -= confirmed[-1].dt
-        return confirmed
+        ring, clock, ready = self.arrays
+        row = np.hstack(sample)
+        made = withhold(ring, clock, row, ready)
+        return [
+            Sample(row[0], row[1:4], row[4:7], row[7:10], row[10:13], bool(row[13]), bool(row[14]))
+            for row in ready[:made].copy()
+        ]
 
     def clear(self) -> None:
         """Forget what is withheld."""
-        self._withheld.clear()
-        self._span = self._skipped = 0.0
+        self.arrays[1][:LAG] = 0.0

@@ -219,6 +219,11 @@ class StillnessDetector:
         self._steps = np.zeros(CAPACITY)
         self._state = np.zeros(4)
 
+    @property
+    def arrays(self) -> tuple[Matrix, Vector, Vector, Vector]:
+        """What `detect` changes in place, and its settings."""
+        return self._samples, self._steps, self._state, self._settings
+
     def push(
         self,
         dt: float,

@@ -15,7 +15,6 @@ from multiimu_ros.odometry.smoother import Smoothed
 BLOCK = 4096  # frames turned into columns at a time
 BIASES = ('gyro_bias', 'gyro_bias_sigma', 'accel_bias', 'accel_bias_sigma')
 NEEDED = ('position_n', 'velocity_n', 'orientation', 'position_covariance', 'rotation_covariance')
-UNKNOWN = np.full(3, np.nan)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,14 +73,22 @@ class Walk:
 
 
 class WalkRecorder:
-    """Keeps of passing frames what a walk is made of: 330 bytes each."""
+    """Keeps of passing frames what a walk is made of: 330 bytes each.
+
+    Attributes
+    ----------
+    watches : bool
+        Whether any frames pass.
+    """
 
     def __init__(self) -> None:
+        self.watches = False
         self._frames: list[FusedFrame] = []
         self._blocks: list[Walk] = []
 
     def watch(self, frames: Iterable[FusedFrame]) -> Iterator[FusedFrame]:
         """Yield the frames as they come, and keep them in mind."""
+        self.watches = True
         for frame in frames:
             self._frames.append(frame)
             if len(self._frames) == BLOCK:
@@ -151,7 +158,7 @@ def smoothed_walk(live: Walk, smoothed: Smoothed) -> Walk:
 
 def _columns(frames: Sequence[FusedFrame]) -> Walk:
     def column(name: str) -> Matrix:
-        return np.array([getattr(frame, name, UNKNOWN) for frame in frames])
+        return np.array([getattr(frame, name) for frame in frames])
 
     pose, orientation = column('pose_covariance'), column('odom_orientation')
     velocity_b = column('velocity_b')

@@ -79,8 +79,18 @@ class Scan:
     noise_gain: Scalars
 
 
-BLOCK = 1024  # readings that `push_block` takes in one compiled call, and scans at most
-NO_SCANS: tuple[Scan, ...] = ()  # what nearly every push returns
+BLOCK = 1024  # readings that `take_block` takes in one compiled call, and scans at most
+NO_SCANS: tuple[tuple[int, Vectors], ...] = ()  # what nearly every `take` returns
+
+
+def scan_of(stamp_ns: int, rows: Vectors) -> Scan:
+    """Return a scan from its rows (K, 8)."""
+    return Scan(stamp_ns, rows[:, :6].copy(), rows[:, 6].copy(), rows[:, 7].copy())
+
+
+def _stacked(scans: Sequence[tuple[int, Vectors]], count: int) -> tuple[Stamps, Matrix]:
+    stamps = np.array([stamp_ns for stamp_ns, _ in scans], np.int64)
+    return stamps, np.array([rows for _, rows in scans]).reshape(-1, count, 8)
 
 
 @dataclass(frozen=True)
@@ -146,6 +156,15 @@ class Synchronizer:
 
     def push(self, stream: int, stamp_ns: int, values: Sequence[float] | Vector) -> Sequence[Scan]:
         """Take one reading (6 numbers, rate then force); return the scans that became due."""
+        return [scan_of(*due) for due in self.take(stream, stamp_ns, values)]
+
+    def take(
+        self, stream: int, stamp_ns: int, values: Sequence[float] | Vector
+    ) -> Sequence[tuple[int, Vectors]]:
+        """Take one reading; return stamp and rows (K, 8) of the scans that became due.
+
+        The columns are those of `Scan`: values, share, noise gain.
+        """
         self._sample[:] = values
         due_ns = s.take_door(*self._streams, stream, stamp_ns)
         if due_ns == s.JUMPED:
@@ -154,18 +173,18 @@ class Synchronizer:
             due_ns = s.take_door(*self._streams, stream, stamp_ns)
         if due_ns < 0:
             return NO_SCANS
-        scans: list[Scan] = []
+        scans = []
         while due_ns >= 0:
-            scans.append(self._scan(due_ns))
+            scans.append((due_ns, self._streams.scan.copy()))
             due_ns = s.advance(self._streams)
         return scans
 
-    def _scan(self, due_ns: int) -> Scan:
-        scan = self._streams.scan
-        return Scan(due_ns, scan[:, :6].copy(), scan[:, 6].copy(), scan[:, 7].copy())
+    def take_block(
+        self, ks: Stamps, stamps: Stamps, values: Vectors
+    ) -> Iterator[tuple[Stamps, Matrix]]:
+        """Take N readings at once; yield stamps (M,) and rows (M, K, 8) as N calls of `take`.
 
-    def push_block(self, ks: Stamps, stamps: Stamps, values: Vectors) -> Iterator[Scan]:
-        """Take N readings in one call; the scans are those of N calls of `push`.
+        Between two of these time may have jumped, never within one.
 
         Parameters
         ----------
@@ -181,13 +200,15 @@ class Synchronizer:
             last = first + BLOCK
             rest = ks[first:last], stamps[first:last], values[first:last]
             taken, made = take_block(self._streams, *rest, scans, due)
-            for stamp_ns, scan in zip(due[:made].tolist(), scans, strict=False):
-                yield Scan(stamp_ns, scan[:, :6], scan[:, 6], scan[:, 7])
+            yield due[:made], scans[:made]
             first += taken
+            late = []
             while (due_ns := s.advance(self._streams)) >= 0:  # there was no room left for it
-                yield self._scan(due_ns)
+                late.append((due_ns, self._streams.scan.copy()))
+            yield _stacked(late, count)
             if first < min(last, len(ks)) and made < BLOCK:  # time jumps back
-                yield from self.push(int(ks[first]), int(stamps[first]), values[first])
+                jumped = self.take(int(ks[first]), int(stamps[first]), values[first])
+                yield _stacked(jumped, count)
                 first += 1
 
     def arrivals(self, until_ns: int | None = None) -> Arrivals:

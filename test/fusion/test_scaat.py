@@ -6,12 +6,13 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.linalg import expm
 
+from multiimu_ros.assembly import entrance
 from multiimu_ros.fusion.array_fusion import ArrayFusion
 from multiimu_ros.fusion.rig_model import rig_model
 from multiimu_ros.fusion.rigid_body import specific_force_at
 from multiimu_ros.fusion.scaat import ScaatFilter
 from multiimu_ros.fusion.scaat_step import correct_by_imu, force_jacobian, predict
-from multiimu_ros.pipeline import _entrance, PipelineConfig
+from multiimu_ros.pipeline import PipelineConfig
 from multiimu_ros.pipeline_config import MOTION
 from multiimu_ros.simulation.calibrated import calibrated_rig
 from multiimu_ros.simulation.errors import BMI160
@@ -205,7 +206,7 @@ def errors_of(kind):
     """Return errors (N, 6) of the synchronised path and of SCAAT, and the latter's variances."""
     motion, start_ns, rig, samples = recording(kind)
     model, config = rig_model(rig), MOTION['hand']
-    synchronizer, fusion = _entrance(rig, PipelineConfig()), ArrayFusion(model, config)
+    synchronizer, fusion = entrance(rig, PipelineConfig()), ArrayFusion(model, config)
     sigmas = config.angular_acceleration_sigma, config.jerk_sigma
     scaat = ScaatFilter(model.density, model.lever_arms_b, *sigmas)
     stamps, fused, single, variances = [], [], [], []

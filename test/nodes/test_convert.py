@@ -85,7 +85,7 @@ def test_a_cut_message_is_none(cut):
 
 
 def test_a_fused_frame_lies_in_the_messages_where_ros_expects_it(rng):
-    frame = FusedFrame(1, True, np.ones(1), rng.standard_normal(SIZE))
+    frame = FusedFrame(1, True, False, np.ones(1), rng.standard_normal(SIZE))
     imu = deserialize_message(
         convert.StampedEncoder('a').encode(1, convert.fused_imu_numbers(frame)), Imu
     )
@@ -98,7 +98,7 @@ def test_a_fused_frame_lies_in_the_messages_where_ros_expects_it(rng):
 
 
 def test_a_fused_frame_lies_in_the_odometry_where_ros_expects_it(rng):
-    frame = FusedFrame(1, True, np.ones(1), rng.standard_normal(SIZE))
+    frame = FusedFrame(1, True, False, np.ones(1), rng.standard_normal(SIZE))
     odom = deserialize_message(
         convert.StampedEncoder('a', 'b').encode(1, convert.odometry_numbers(frame)), Odometry
     )
@@ -112,7 +112,7 @@ def test_a_fused_frame_lies_in_the_odometry_where_ros_expects_it(rng):
 
 
 def test_a_still_frame_is_a_twist_of_zero_with_its_covariance(rng):
-    frame = FusedFrame(1, True, np.ones(1), rng.standard_normal(SIZE))
+    frame = FusedFrame(1, True, False, np.ones(1), rng.standard_normal(SIZE))
     data = convert.StampedEncoder('base_link').encode(1, convert.still_twist_numbers(frame))
     twist = deserialize_message(data, TwistWithCovarianceStamped).twist
     assert twist.twist == Twist()

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from multiimu_ros.synchronization import synchronizer as synchronizer_module
-from multiimu_ros.synchronization.synchronizer import SyncConfig, Synchronizer
+from multiimu_ros.synchronization.synchronizer import scan_of, SyncConfig, Synchronizer
 
 MS = 1_000_000
 START = 1_790_000_000_000_000_000
@@ -112,9 +112,10 @@ def test_a_block_makes_the_scans_that_single_readings_make(seed):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(synchronizer_module, 'BLOCK', int(rng.integers(1, 500)))
         scans = [
-            scan
+            scan_of(stamp_ns, rows)
             for part in (slice(0, cut), slice(cut, None))
-            for scan in in_blocks.push_block(ks[part], stamps[part], values[part])
+            for block in in_blocks.take_block(ks[part], stamps[part], values[part])
+            for stamp_ns, rows in zip(*block, strict=True)
         ]
     assert [scan.stamp_ns for scan in scans] == [scan.stamp_ns for scan in expected]
     for ours, theirs in zip(scans, expected, strict=True):
