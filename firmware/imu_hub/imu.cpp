@@ -175,24 +175,24 @@ static void watch(Imu &imu) {
 static void look_after(Imu &imu, uint8_t k, bool at_temperature) {
   if (imu.state == ABSENT) {
     look(imu, PLACES[k].address);
-  } else if (imu.state == READY && at_temperature) {
-    if (bus_select(imu.channel)) model_temperature(imu.model, imu.address, &imu.temperature);
   } else if (imu.state == READY) {
     watch(imu);
+    if (!at_temperature || imu.state != READY || !bus_select(imu.channel)) return;
+    model_temperature(imu.model, imu.address, &imu.temperature);
   }
 }
 
 void imus_tend(bool rested) {
-  static uint8_t next;
-  static bool powered, at_temperature;
+  static uint8_t next, round;
+  static bool powered;
   powered = powered || clock_reached(POWER_UP_US);
   if (!powered || !bus_is_usable()) return;
   for (uint8_t k = 0; k < imu_count; k++) {
     if (imus[k].state == STARTING && clock_reached(imus[k].due)) return go_on(imus[k]);
   }
   if (!rested) return;
-  look_after(imus[next], next, at_temperature);
+  look_after(imus[next], next, round % 8 == 0);
   if (++next < imu_count) return;
   next = 0;
-  at_temperature = !at_temperature;
+  round++;
 }

@@ -56,12 +56,14 @@ void loop() {
   uart_tend();
   if (link_has_greeted()) link_answer();
   if (!begun) return start();
-  if (clock_reached(scan_at)) {
+  if (!tended) {
+    tend();  // once a scan even where there is no time
+  } else if (clock_reached(scan_at)) {
     skip_late_scans();
     link_scan();
     scan_at += PERIOD_US;
     tended = false;
-  } else if (!tended || !clock_reached(scan_at - SPARE_US)) {
-    tend();  // once a scan even where time is short
+  } else if (!clock_reached(scan_at - SPARE_US)) {
+    tend();
   }
 }

@@ -42,6 +42,7 @@ void device_power_up(struct Device *device) {
   device->busy_until = 0;
   device->ready_at[0] = device->ready_at[1] = INFINITY;
   device->page = 0;
+  device->frozen = device->frozen_for_good;
   device->kind->power_up(device);
 }
 
@@ -56,11 +57,13 @@ void device_fault(int imu, const char *what, int number) {
       device_power_up(device);
     } else if (strcmp(what, "brownout") == 0) {
       device_power_up(device);
+      device->powered_at = -INFINITY;  // it answers at once: the hardest to notice
     } else if (strcmp(what, "freeze") == 0) {
       device->frozen = true;
+      device->frozen_for_good = number;
       device->frozen_at = board_now();
     } else if (strcmp(what, "thaw") == 0) {
-      device->frozen = false;
+      device->frozen = device->frozen_for_good;
     } else if (strcmp(what, "refuse") == 0) {
       device->refuse_every = number;
     } else {

@@ -25,7 +25,7 @@ struct Device {
   int imu, channel;
   uint8_t address;
   // faults
-  bool dead, frozen;
+  bool dead, frozen, frozen_for_good;
   int refuse_every, asked;
   double frozen_at;
   // state

@@ -5,10 +5,11 @@
 //   skew 3000                    by how much the controller's clock is fast [ppm]
 //   at 1.5 dead 0                IMU 0 no longer answers; alive 0: plugged in again, unset
 //   at 1.5 brownout 0            it lost its power for a moment
-//   at 1.5 freeze 0              it repeats its data; thaw 0
+//   at 1.5 freeze 0              it repeats its data until it is reset; freeze 0 1: for good
 //   at 1.5 refuse 0 7            it ignores every seventh address; 0: none
 //   at 1.5 stick 1.0             SDA is held low for so long [s]
 //   at 1.5 wedge 2               a device on channel 2 holds SDA until it gets nine clocks
+//   at 1.5 mux                   the multiplexer lost its power for a moment
 //   at 1.5 lose 1.4              what the controller says for so long gets lost [s]
 //   at 1.5 send 03 12 34 00      the host's bytes
 //   at 1.5 reset                 of the controller
@@ -100,6 +101,8 @@ bool script_act(void) {
     board_reset();
   } else if (strcmp(what, "stick") == 0) {
     lines_stick(atof(event->arguments));
+  } else if (strcmp(what, "mux") == 0) {
+    bus_reset_mux();
   } else if (strcmp(what, "lose") == 0) {
     lose_spoken(atof(event->arguments));
   } else if (strcmp(what, "wedge") == 0) {

@@ -25,7 +25,7 @@ EVENTS = [
     '5.0 alive 1',
     '7.0 stick 1.0',
     '10.0 reset',
-    '12.0 thaw 0',
+    '12.0 refuse 0',
     '12.5 lose 1.5',
 ]
 END, STALL_S, LOST_S = 16.5, 2.0, 1.5
@@ -72,7 +72,7 @@ def listen(peer, folder):
         options = ('--ros-args', '-p', f'port:={board.path}')
         domain = int(os.environ['ROS_DOMAIN_ID'])
         with process('driver', *options, domain=domain) as driver:
-            peer.wait_until(lambda: board.has('thaw'), 60.0)
+            peer.wait_until(lambda: board.has('refuse'), 60.0)
             driver.send_signal(signal.SIGSTOP)
             peer.spin(STALL_S)
             driver.send_signal(signal.SIGCONT)
@@ -111,7 +111,7 @@ def test_a_stuck_bus_is_named_and_counted(session):
 
 
 def test_a_reset_begins_a_new_epoch_and_loses_nothing_more(session):
-    resets, stalls = session.times['reset'], session.times['thaw']
+    resets, stalls = session.times['reset'], session.times['refuse']
     assert session.figure('clock epochs', resets) == 1
     assert session.figure('clock epochs', stalls) == 2
     assert session.figure('lost scans', stalls) == 0

@@ -118,3 +118,26 @@ def test_every_scan_is_on_the_line_with_the_same_delay(tmp_path, flags):
     assert np.ptp(earliest) < 200
     # A HELLO or a STATUS before it, or another scan, holds one back.
     assert np.percentile(delays, 90) < min(earliest) + 600
+
+
+def test_a_stuck_bus_does_not_delay_the_scans_after_it(tmp_path):
+    session = run(tmp_path, script(bmi160s(1), ['1.203 stick 0.1'], seconds=1.8))
+    delays = np.array(session.delays_us())
+    instants = np.array([scan.ticks_us for scan in session.scans])
+    before, after = delays[instants < 1.2e6], delays[instants > 1.4e6]
+    assert after.min() == pytest.approx(before.min(), abs=100)  # of 1.6 ms; the bus had 3 ms more
+
+
+def test_what_is_too_fast_for_so_many_is_counted_on_both_sides(tmp_path):
+    imus = bmi160s(8)
+    session = run(tmp_path, script(imus, seconds=2.2), '-DSCAN_RATE_HZ=200')
+    assert session.report['violations'] == session.report['contentions'] == []
+    decoder = session.decoder
+    assert (decoder.cobs_errors, decoder.crc_errors, decoder.unknown) == (0, 0, 0)
+    assert_exact(session, imus)
+    # Wire reads eight IMUs 155 times a second; what is left out is known to both.
+    seen = [scan.seq for scan in session.scans if scan.ticks_us < session.statuses[-1].ticks_us]
+    missing = seen[-1] + 1 - len(seen)
+    assert 0.1 * len(seen) < missing < 0.5 * len(seen)
+    assert session.statuses[-1].overruns == pytest.approx(missing, abs=2)
+    assert intervals_us(session).max() < 16_000  # never more than two in a row
