@@ -10,7 +10,7 @@ import numpy as np
 from multiimu_ros.arrays import Matrix, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.attitude_steps import GAP, LINEAR, OUTAGE
-from multiimu_ros.odometry.error_updates import begin_rest, update
+from multiimu_ros.odometry.error_updates import begin_rest, LEARNT, update
 from multiimu_ros.odometry.kalman import propagate
 from multiimu_ros.odometry.strapdown import curvature, increments
 from multiimu_ros.rotations import exp_so3, product, renormalise, right_jacobian, skew
@@ -148,7 +148,7 @@ def predict(
     hidden = max(0.0, dt - GAP) ** 2 / dt
     rate_psd = rate_density**2 + min(hidden * settings[5] ** 2, LINEAR**2 / dt)
     force_psd = force_density**2 + hidden * settings[6] ** 2
-    learnt = np.exp(memory[15]) * dt
+    learnt = np.exp(memory[LEARNT]) * dt
     rate_psd = rate_psd + learnt * settings[7] ** 2 * np.sum((rate - x[9:12]) ** 2)
     force_psd = force_psd + learnt * settings[8] ** 2 * np.sum((force - settings[0] * R[2]) ** 2)
     R0 = R.copy()

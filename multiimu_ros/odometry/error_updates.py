@@ -18,6 +18,7 @@ CONFIRMED = 0.1  # [s] no swing looks still for longer, but a running stance doe
 SWING = 0.03  # [s] a shorter one is a stance in which the detector wavered
 SURPRISE = 4.0  # a stance whose correction is worse than this is itself a fault
 LEAST_LEARNT = -9.2  # ln 1e-4: below a hundredth of the profile's errors they do not matter
+LEARNT = 15  # field of the memory: logarithm of what a swing adds to the velocity's variance
 
 
 @compiled
@@ -79,8 +80,8 @@ def _learn_swing(memory: Vector, strides: float) -> None:
     """After a stance, learn how large the errors of a swing are (error_state.md (13))."""
     if strides > 0.0:
         surprise = np.sum(memory[16:19] ** 2) / memory[19]
-        learnt = memory[15] + np.log1p((min(surprise, SURPRISE) - 1.0) / strides)
-        memory[15] = max(learnt, LEAST_LEARNT)
+        learnt = memory[LEARNT] + np.log1p((min(surprise, SURPRISE) - 1.0) / strides)
+        memory[LEARNT] = max(learnt, LEAST_LEARNT)
     memory[16:20] = 0.0
 
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from multiimu_ros.arrays import as_vector, as_vectors, Scalars, Vector, Vectors
 from multiimu_ros.odometry.error_state import ErrorStateConfig, ErrorStateFilter
-from multiimu_ros.odometry.error_updates import align
+from multiimu_ros.odometry.error_updates import align, LEARNT
 from multiimu_ros.odometry.federated_kernels import (
     fuse,
     MEMBER,
@@ -188,6 +188,10 @@ class FederatedOdometry(ErrorStateFilter):
             self._memories[:, :6] = np.nan_to_num(values)
             self._started = True
             return
+        # How much a swing adds is of the foot: what one IMU alone has learnt is its own fault.
+        learnt = np.sort(self._memories[self._track[:, STATUS] == MEMBER, LEARNT])
+        if len(learnt):
+            self._memories[:, LEARNT] = learnt[(len(learnt) - 1) // 2]
         scan_step(
             *self._locals, self._memories, self._each, self._track, self._offsets, self._x,
             self._R, self._P, self._arms, self._base, self._walk_mask, self._start, self._start_P,
