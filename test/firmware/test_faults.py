@@ -18,6 +18,7 @@ from multiimu_ros.wire.packets import BOOT, HelloRequest, Sync, SyncRequest
 
 BACKENDS = pytest.mark.parametrize('flags', ['', FAST], ids=['wire', 'polled'])
 BYTE_S = 10 / 500_000
+LATE_US = 40  # by which other interrupts may delay one; Wire's waits for the STOP
 
 
 def spaces(session, imu):
@@ -112,8 +113,9 @@ def test_a_multiplexer_that_lost_its_power_is_set_again(tmp_path):
     assert_undamaged(session)
     assert_exact(session, [('bmi160', 3, 0x68)])
     # The only IMU of a board never changes the channel; one read fails.
-    [(begin, end)] = spaces(session, 0) or [(0.0, 0.02)]
-    assert end - begin < 0.025
+    instants = [instant for instant, _ in session.of(0)]
+    assert instants[-1] > 1.78
+    assert np.diff(instants).max() == pytest.approx(0.02, abs=0.002)
 
 
 @pytest.mark.parametrize('kind', ['bmi160', 'mpu9250', 'bno055', 'sen0140'])
@@ -174,7 +176,7 @@ def test_requests_are_answered_at_the_instant_of_their_last_byte(tmp_path):
     late = np.array([answer.ticks_us for answer in answers]) - 1e6 * np.array(instants)
     # The board's clock begins a little late; other interrupts delay by some microseconds.
     assert BOOT_US[0] < -late.max() <= -late.min() < BOOT_US[1]
-    assert np.ptp(late) < 20
+    assert np.ptp(late) < LATE_US
 
 
 def test_stamps_are_right_while_the_timer_wraps(tmp_path):
@@ -190,7 +192,7 @@ def test_stamps_are_right_while_the_timer_wraps(tmp_path):
     session = run(tmp_path, script(bmi160s(1), events, seconds=6.4))
     assert_undamaged(session)
     ticks = np.array([answer.ticks_us for answer in session.all(Sync)])
-    assert np.ptp(ticks - 1e6 * np.array(instants)) < 20
+    assert np.ptp(ticks - 1e6 * np.array(instants)) < LATE_US
 
 
 def test_a_hello_is_sent_when_asked_for_and_only_then(tmp_path):

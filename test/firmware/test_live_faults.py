@@ -129,7 +129,7 @@ def test_a_stalled_reader_loses_scans_and_knows_how_many(session):
 
 def test_no_false_reading_gets_through(session):
     for readings in session.readings.values():
-        assert len(readings) > 100 * (END - 6.5)  # what the faults leave
+        assert len(readings) > 100 * (END - 7.5)  # what the faults leave
         values = np.array([imu_values(msg) for msg in readings])
         # The formula: a swing of 1 rad/s about z, gravity, and a little noise; half a count more.
         assert np.abs(values[:, :2]).max() < 0.011

@@ -135,7 +135,7 @@ def test_what_is_too_fast_for_so_many_is_counted_on_both_sides(tmp_path):
     decoder = session.decoder
     assert (decoder.cobs_errors, decoder.crc_errors, decoder.unknown) == (0, 0, 0)
     assert_exact(session, imus)
-    # Wire reads eight IMUs 155 times a second; what is left out is known to both.
+    # Wire reads eight IMUs 145 times a second; what is left out is known to both.
     seen = [scan.seq for scan in session.scans if scan.ticks_us < session.statuses[-1].ticks_us]
     missing = seen[-1] + 1 - len(seen)
     assert 0.1 * len(seen) < missing < 0.5 * len(seen)
