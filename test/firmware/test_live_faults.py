@@ -93,7 +93,8 @@ def session(tmp_path_factory):
 def test_an_imu_that_dies_is_named_until_it_returns(session):
     dies, returns, sticks = (session.times[what] for what in ('dead', 'alive', 'stick'))
     assert session.errors('imu1', dies, returns)[0] < NAMED_S
-    assert max(session.errors('imu1', returns, sticks)) < 0.5 + NAMED_S  # it starts for 0.3 s
+    errors = session.errors('imu1', returns, sticks)
+    assert max(errors, default=0.0) < 0.5 + NAMED_S  # it starts for 0.3 s
     assert session.figure('failed reads', sticks, 'imu1') == 3
     for k in (0, 2, 3):
         assert not session.errors(f'imu{k}', dies - 1.0, sticks)
@@ -129,7 +130,8 @@ def test_a_stalled_reader_loses_scans_and_knows_how_many(session):
 
 def test_no_false_reading_gets_through(session):
     for readings in session.readings.values():
-        assert len(readings) > 100 * (END - 7.5)  # what the faults leave
+        # Two starts of 0.9 s, a stuck bus, lost bytes; IMU 1 was dead; who listens comes late.
+        assert len(readings) > 100 * (END - 1.8 - 1.0 - LOST_S - 2.5 - 1.5)
         values = np.array([imu_values(msg) for msg in readings])
         # The formula: a swing of 1 rad/s about z, gravity, and a little noise; half a count more.
         assert np.abs(values[:, :2]).max() < 0.011
