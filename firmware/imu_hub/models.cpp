@@ -37,50 +37,51 @@ static_assert(SCAN_RATE_HZ <= 400, "SCAN_RATE_HZ must be at most 400: a BMI160 s
 
 // Bosch BST-BMI160-DS000-07, section 2.11 (registers), tables 2 and 3 (start-up times, scales)
 const Step BMI160_STEPS[] PROGMEM = {
-    {0x7E, 0xB6, COMMAND, 20},                       // CMD: soft reset
-    {0x7E, 0x11, COMMAND, 5},                        // CMD: accelerometer on; 3.8 ms
-    {0x7E, 0x15, COMMAND, 85},                       // CMD: gyroscope on; 80 ms
-    {0x40, by_scans(0x0A, 0x1A), SET, 0},            // ACC_CONF: 400 Hz, oversampled 4 or 2 times
+    {0x7E, 0xB6, COMMAND, 20},                         // CMD: soft reset
+    {0x7E, 0x11, COMMAND, 5},                          // CMD: accelerometer on; 3.8 ms
+    {0x7E, 0x15, COMMAND, 85},                         // CMD: gyroscope on; 80 ms
+    {0x40, by_scans(0x0A, 0x1A), SET, 0},              // ACC_CONF: 400 Hz, oversampled 4 or 2-fold
     {0x41, by_force(0x03, 0x05, 0x08, 0x0C), SET, 0},  // ACC_RANGE
-    {0x42, by_scans(0x0A, 0x1A), SET, 0},            // GYR_CONF: the same
-    {0x43, by_rate(3, 2, 1, 0), SET, 0},             // GYR_RANGE
-    {0x03, 0x14, VERIFY | WATCH, 0},                 // PMU_STATUS: both in normal mode
+    {0x42, by_scans(0x0A, 0x1A), SET, 0},              // GYR_CONF: the same
+    {0x43, by_rate(3, 2, 1, 0), SET, 0},               // GYR_RANGE
+    {0x03, 0x14, VERIFY | WATCH, 0},                   // PMU_STATUS: both in normal mode
 };
 
-// InvenSense RM-MPU-9250A-00 rev. 1.4, pages 9, 12-14; PS-MPU-9250A-01 rev. 1.0, pages 8, 12
+// InvenSense RM-MPU-9250A-00 rev. 1.4, pages 9, 11 (2^16 counts for 500 deg/s), 12-14;
+// PS-MPU-9250A-01 rev. 1.0, pages 8, 12
 const Step MPU9250_STEPS[] PROGMEM = {
-    {0x6B, 0x80, COMMAND, 105},                  // PWR_MGMT_1: reset; 100 ms
-    {0x6B, 0x01, SET, 40},                       // clock from the gyroscopes' PLL; 35 ms
-    {0x1A, by_scans(3, 2), SET, 0},              // CONFIG: gyroscope 41 or 92 Hz wide
-    {0x19, 0x01, SET, 0},                        // SMPLRT_DIV: 500 Hz
+    {0x6B, 0x80, COMMAND, 105},                                // PWR_MGMT_1: reset; 100 ms
+    {0x6B, 0x01, SET, 40},                                     // clock of the gyroscopes; 35 ms
+    {0x1A, by_scans(3, 2), SET, 0},                            // CONFIG: rate 41 or 92 Hz wide
+    {0x19, 0x01, SET, 0},                                      // SMPLRT_DIV: 500 Hz
     {0x1B, by_rate(0x00, 0x08, 0x10, 0x18), SET | WATCH, 0},   // GYRO_CONFIG
     {0x1C, by_force(0x00, 0x08, 0x10, 0x18), SET | WATCH, 0},  // ACCEL_CONFIG
-    {0x1D, by_scans(3, 2), SET, 0},              // ACCEL_CONFIG_2: 45 or 99 Hz wide
+    {0x1D, by_scans(3, 2), SET, 0},                            // ACCEL_CONFIG_2: 45 or 99 Hz wide
 };
 
 // Bosch BST-BNO055-DS000-14 rev. 1.4, pages 21 (modes), 27-28 (settings), 53 (data), 91 (bus)
 const Step BNO055_STEPS[] PROGMEM = {
-    {0x07, 0x00, COMMAND, 0},                      // PAGE_ID: where OPR_MODE is
-    {0x3D, 0x00, COMMAND, 20},                     // OPR_MODE: CONFIG; 19 ms
-    {0x07, 0x01, COMMAND, 0},                      // PAGE_ID: the sensors' settings
+    {0x07, 0x00, COMMAND, 0},                                     // PAGE_ID: where OPR_MODE is
+    {0x3D, 0x00, COMMAND, 20},                                    // OPR_MODE: CONFIG; 19 ms
+    {0x07, 0x01, COMMAND, 0},                                     // PAGE_ID: the sensors' settings
     {0x08, by_scans(0x0C, 0x10) | by_force(0, 1, 2, 3), SET, 0},  // ACC_Config: 62.5 or 125 Hz
     {0x0A, by_scans(0x18, 0x10) | by_rate(3, 2, 1, 0), SET, 0},   // GYR_Config_0: 47 or 116 Hz
-    {0x07, 0x00, COMMAND, 0},                      // PAGE_ID: back to the data
-    {0x3B, 0x00, SET, 0},                          // UNIT_SEL: m/s^2, deg/s, Celsius
-    {0x3D, 0x07, SET | WATCH, 10},                 // OPR_MODE: AMG; 7 ms
+    {0x07, 0x00, COMMAND, 0},                                     // PAGE_ID: back to the data
+    {0x3B, 0x00, SET, 0},                                         // UNIT_SEL: SI, deg/s, Celsius
+    {0x3D, 0x07, SET | WATCH, 10},                                // OPR_MODE: AMG; 7 ms
 };
 
 // Analog Devices ADXL345 rev. D, pages 13 (power) and 23-27 (registers)
 // InvenSense PS-ITG-3200A-00-01.4, pages 7 (scale, start-up), 18 (bus) and 22-27 (registers)
 const Step SEN0140_STEPS[] PROGMEM = {
-    {0x3E, 0x80, COMMAND, 50},                                    // PWR_MGM: reset
-    {0x2D, 0x00, SET | COMPANION, 0},                             // POWER_CTL: standby
-    {0x2C, 0x0B, SET | COMPANION, 0},                             // BW_RATE: 200 Hz
-    {0x31, 0x08 | by_force(0, 1, 2, 3), SET | COMPANION, 0},      // DATA_FORMAT: full resolution
-    {0x2D, 0x08, SET | COMPANION | WATCH, 20},                    // POWER_CTL: measure
-    {0x3E, 0x01, SET, 70},                                        // PWR_MGM: clock from the X gyro
-    {0x15, 0x01, SET, 0},                                         // SMPLRT_DIV: 500 Hz
-    {0x16, by_scans(0x1B, 0x1A), SET | WATCH, 0},  // DLPF_FS: FS_SEL 3; 42 or 98 Hz wide
+    {0x3E, 0x80, COMMAND, 50},                                // PWR_MGM: reset
+    {0x2D, 0x00, SET | COMPANION, 0},                         // POWER_CTL: standby
+    {0x2C, 0x0B, SET | COMPANION, 0},                         // BW_RATE: 200 Hz
+    {0x31, 0x08 | by_force(0, 1, 2, 3), SET | COMPANION, 0},  // DATA_FORMAT: full resolution
+    {0x2D, 0x08, SET | COMPANION | WATCH, 20},                // POWER_CTL: measure
+    {0x3E, 0x01, SET, 70},                                    // PWR_MGM: clock from the X gyro
+    {0x15, 0x01, SET, 0},                                     // SMPLRT_DIV: 500 Hz
+    {0x16, by_scans(0x1B, 0x1A), SET | WATCH, 0},             // DLPF_FS: FS_SEL 3, 42 or 98 Hz
 };
 
 #define STEPS(table) table, sizeof table / sizeof table[0]
@@ -90,7 +91,7 @@ const ModelInfo INFOS[] PROGMEM = {
      RAD_PER_DEG / 16.4f * ANGULAR_RATE_RANGE_DPS / 2000,
      STANDARD_GRAVITY / 16384 * FORCE_RANGE_G / 2},
     {STEPS(MPU9250_STEPS), ANGULAR_RATE_RANGE_DPS, FORCE_RANGE_G,
-     RAD_PER_DEG / 16.4f * ANGULAR_RATE_RANGE_DPS / 2000,
+     RAD_PER_DEG * ANGULAR_RATE_RANGE_DPS / 32768,
      STANDARD_GRAVITY / 16384 * FORCE_RANGE_G / 2},
     {STEPS(BNO055_STEPS), ANGULAR_RATE_RANGE_DPS, FORCE_RANGE_G, RAD_PER_DEG / 16, 0.01f},
     {STEPS(SEN0140_STEPS), 2000, FORCE_RANGE_G, RAD_PER_DEG / 14.375f, STANDARD_GRAVITY / 256},

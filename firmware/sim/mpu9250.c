@@ -1,6 +1,7 @@
 // InvenSense MPU-9250 and MPU-9255.  Registers: RM-MPU-9250A-00 rev. 1.4, page 9 (map, reset
-// values), pages 12-14 (rate, filters, ranges), page 44 (WHO_AM_I).  Times, scales, temperature:
-// PS-MPU-9250A-01 rev. 1.0, page 8 (gyroscope), page 12 (start-up; 333.87 counts a Celsius).
+// values), page 11 (scale of the gyroscope), pages 12-14 (rate, filters, ranges), page 44
+// (WHO_AM_I).  Times, temperature: PS-MPU-9250A-01 rev. 1.0, page 8 (gyroscope), page 12
+// (start-up; 333.87 counts a Celsius).
 #include <math.h>
 
 #include "device.h"
@@ -48,7 +49,7 @@ static void latch(struct Device *d, uint8_t reg) {
   const int filter = d->reg[CONFIG] & 7;
   const double inside_hz = filter == 0 || filter == 7 ? 8000 : 1000;
   const double rate_hz = inside_hz / (1 + (filter ? d->reg[SMPLRT_DIV] : 0));
-  const double rate_scale = DEGREE / 131 * (1 << (d->reg[GYRO_CONFIG] >> 3 & 3));
+  const double rate_scale = DEGREE / 131.072 * (1 << (d->reg[GYRO_CONFIG] >> 3 & 3));
   const double force_scale = GRAVITY / 16384 * (1 << (d->reg[ACCEL_CONFIG] >> 3 & 3));
   int16_t counts[6];
   device_sample(d, rate_hz, rate_scale, force_scale, 32768, counts);
