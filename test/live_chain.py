@@ -70,26 +70,28 @@ def wait_until(condition, seconds, what):
         time.sleep(0.05)
 
 
-def fuse(bag, rig_file, output):
+def fuse(bag, rig_file, output, *options):
     """Run `multiimu fuse`, without ROS."""
-    command = [*MULTIIMU, 'fuse', bag, '--rig', rig_file, '-o', output, '--json']
+    command = [*MULTIIMU, 'fuse', bag, '--rig', rig_file, '-o', output, '--json', *options]
     subprocess.run(command, env=ENVIRONMENT, check=True, stdout=subprocess.DEVNULL)
 
 
-def replay(bag, rig_file, output, *, domain, seconds):
-    """Play `bag` of `seconds` through calibration, registration and fusion; record `output`."""
+def replay(bag, rig_file, output, *, domain, seconds, last='imu7', profile='hand'):
+    """Play `bag` of `seconds` through calibration, registration and fusion; record `output`.
+
+    `last` is the last IMU of the rig.
+    """
     with observer(domain) as node:
-        processes = [
-            process(name, '--ros-args', '-p', f'rig_file:={rig_file}', domain=domain)
-            for name in NODES
-        ]
+        told = ('--ros-args', '-p', f'rig_file:={rig_file}')
+        processes = [process(name, *told, domain=domain) for name in NODES[:2]]
+        processes.append(process(NODES[2], *told, '-p', f'profile:={profile}', domain=domain))
         record = process('record', '-o', output, '/imu/data', '/odom', domain=domain)
         with processes[0], processes[1], processes[2], record:
-            topics = ('/imu0/data_calibrated', '/imu7/data_registered', '/imu/data', '/odom')
+            topics = ('/imu0/data_calibrated', f'/{last}/data_registered', '/imu/data', '/odom')
             wait_until(
                 lambda: (
                     all(map(node.count_publishers, topics))
-                    and all(map(node.count_subscribers, ('/imu7/data_raw', *topics)))
+                    and all(map(node.count_subscribers, (f'/{last}/data_raw', *topics)))
                 ),
                 START_S,
                 'the graph',

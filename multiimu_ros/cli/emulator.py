@@ -35,7 +35,7 @@ app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 def emulator(
     rig: Annotated[Path, typer.Option(help='Rig file: which IMUs there are, and where.')],
     motion: Annotated[
-        str, typer.Option(help='static, turntable, slider, hand, foot or calibration.')
+        str, typer.Option(help='static, turntable, slider, hand, foot, foot_rough or calibration.')
     ] = 'hand',
     rate: Annotated[float, typer.Option(help='Scans per second [Hz].')] = 200.0,
     duration: Annotated[float, typer.Option(help='Length of the motion [s].')] = 60.0,

@@ -28,5 +28,5 @@ def test_a_loop_with_lost_samples_is_smoothed_within_its_own_uncertainty():
     # The foot came back to its mark, to the width of a hand.
     sigma = np.sqrt(np.diag(smoothed.P[-1])[:3])
     assert (np.abs(smoothed.position_n[-1]) < 3 * np.hypot(sigma, 0.03)).all()
-    # What was lost of it, at most 10 ms of many swings, is in the error of the live path.
+    # Biases that are known better, and rests that are used in full, serve the whole path.
     assert end_error(smoothed.position_n) < end_error(live.position)
