@@ -19,18 +19,31 @@ KERNELS := $(wildcard test/test_rotations.py test/calibration test/registration 
 NO_KERNELS := $(foreach name,filter_bank local_filters masters prefilters,\
 	--ignore=test/fusion/test_$(name).py)
 
+# What builds the sketch of firmware/ and the board that it is tested on.
+FIRMWARE_TOOLS := make gcc g++ libc6-dev gcc-avr avr-libc binutils-avr arduino-core-avr \
+	libsimavr-dev arduino-builder
+
 .DEFAULT_GOAL := help
-.PHONY: help install kernels demo test check static bench clean
+.PHONY: help install kernels demo test check static bench clean firmware-tools
 
 help:  ## say what there is
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
 
 install: kernels  ## build the virtual environment in .venv
 
 demo: $(READY)  ## eight emulated IMUs become one: live table, HTML report
 	$(BIN)/multiimu demo
 
-test: static kernels  ## everything: linters, types, imports, all tests with branch coverage
+# Never fails: where it cannot install, the tests of the firmware say that they are skipped.
+firmware-tools:  ## the toolchain of the firmware's tests, where apt-get may be used
+	@{ command -v avr-g++ && command -v arduino-builder && command -v g++ && \
+		test -e /usr/include/simavr/sim_avr.h; } >/dev/null || \
+	{ test "$$(id -u)" = 0 && command -v apt-get >/dev/null && apt-get update -qq && \
+		DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+		$(FIRMWARE_TOOLS) >/dev/null; } || \
+	echo 'The tests of the firmware will be skipped: apt-get install $(FIRMWARE_TOOLS)'
+
+test: firmware-tools static kernels  ## everything: linters, types, imports, all tests with branch coverage
 	@rm -f .coverage
 	@echo '== 1/3 core, compiled, two at a time'
 	$(COVERED) -n 2 -m 'not ros'

@@ -46,7 +46,8 @@ def test_a_simulated_walk_closes_within_what_the_filter_expects(said, tmp_path):
     # 26 strides of 1.2 m, each between two of 27 stances.
     assert_allclose(distance, 31.2, rtol=0.01)
     assert stances == 27
-    assert error < 3.0 * sigma < 0.5
+    # The filter expects a foot that rolls and strikes, which errs by about 1 % of the way.
+    assert error < 3.0 * sigma < 0.03 * distance
     assert list_topics(tmp_path / 'bag')[0].name == '/imu0/data_raw'
     assert load_rig(tmp_path / 'rig.yaml').imus[0].model == 'BMI160'
 
