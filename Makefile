@@ -48,7 +48,9 @@ test: firmware-tools static kernels  ## everything: linters, types, imports, all
 	@echo '== 1/3 core, compiled, two at a time'
 	$(COVERED) -n 2 -m 'not ros'
 	@echo '== 2/3 rim: real nodes and processes that mostly wait, each third in a domain of its own'
-	$(COVERED) -n 3 --dist loadfile -m ros
+	$(COVERED) -n 3 --dist loadfile -m ros --ignore=test/firmware
+	@echo '== 2/3 rim: the board in real time, which takes what it needs of the processors'
+	$(COVERED) -n 2 --dist loadfile -m ros test/firmware
 	@echo '== 3/3 kernels as plain Python, for coverage'
 	MULTIIMU_COMPILED=0 $(COVERED) -n 2 -m 'not ros and not slow and not realdata' \
 		$(KERNELS) $(NO_KERNELS)
