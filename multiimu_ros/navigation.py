@@ -174,16 +174,20 @@ class Navigator:
         """Return what is to be saved for a restart; None before the first reading."""
         if not self._stamps[STARTED]:
             return None
-        attitude, odometry = self.attitude, self.odometry
-        turned, pose = (attitude.R_nb, attitude.P), (odometry.state, odometry.R_nb, odometry.P)
-        if self.origin is not None:
-            turned, pose = self.origin.seen_attitude(attitude), self.origin.seen(odometry)
-        return snapshot(owner, int(self._stamps[NEWEST]), pose, turned, attitude.gyro_bias)
+        turned, pose = self._told()
+        return snapshot(owner, int(self._stamps[NEWEST]), pose, turned, self.attitude.gyro_bias)
 
     def restore(self, state: SavedState, config: ErrorStateConfig, now_ns: int) -> None:
         """Go on, at the first reading, from what was saved."""
         self.origin = Origin(state, config, now_ns)
         self.origin.restore_biases(self.odometry, self.attitude)
+
+    def _told(self) -> tuple[tuple[Matrix, Matrix], tuple[Vector, Matrix, Matrix]]:
+        """Return R, P of the attitude and x, R, P of the odometry, in the frame of `origin`."""
+        attitude, odometry = self.attitude, self.odometry
+        if self.origin is not None:
+            return self.origin.seen_attitude(attitude), self.origin.seen(odometry)
+        return (attitude.R_nb, attitude.P), (odometry.state, odometry.R_nb, odometry.P)
 
     def push(
         self, stamp_ns: int, table: Vectors, values: Vectors, density: Vectors
@@ -224,9 +228,6 @@ class Navigator:
                 self._stamps[RESTED] = stamp_ns
         started = attitude.started and odometry.started
         self._stamps[READY] = self._is_default and started and self.origin is None
-        record, R, P = np.zeros(SIZE), attitude.R_nb, attitude.P
-        pose = odometry.state, odometry.R_nb, odometry.P
-        if self.origin is not None:
-            (R, P), pose = self.origin.seen_attitude(attitude), self.origin.seen(odometry)
+        record, ((R, P), pose) = np.zeros(SIZE), self._told()
         write_record(record, table, R, attitude.gyro_bias, P, *pose)
         return record, still, resting

@@ -8,13 +8,11 @@ import numpy as np
 
 from multiimu_ros.arrays import Matrix, Vector
 from multiimu_ros.compiled import compiled
-from multiimu_ros.odometry.attitude import level, OUTAGE
+from multiimu_ros.odometry.attitude_steps import CONFIRMED, CREDIBLE_SQUARE, level, OUTAGE
 from multiimu_ros.odometry.kalman import scalar_update, transform_block, white_equivalent
 from multiimu_ros.rotations import exp_so3, product, renormalise, skew
 
-CREDIBLE_SQUARE = 16.0  # 4 sigma; beyond it a swinging foot that looks still for a moment
 SLOWED_SQUARE = 0.25  # a stance begins below half of the greatest speed since the last one
-CONFIRMED = 0.1  # [s] no swing looks still for longer, but a running stance does
 SWING = 0.03  # [s] a shorter one is a stance in which the detector wavered
 SURPRISE = 4.0  # a stance whose correction is worse than this is itself a fault
 LEAST_LEARNT = -9.2  # ln 1e-4: below a hundredth of the profile's errors they do not matter

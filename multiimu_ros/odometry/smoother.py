@@ -241,7 +241,8 @@ def _start(config: ErrorStateConfig, sample: Sample) -> tuple[Vector, Mark]:
     """Return the filter's settings, and its x, R, P and memory after the first sample."""
     filter_ = ErrorStateFilter(config)
     filter_.step(sample)
-    return filter_._settings, (filter_._x, filter_._R, filter_._P, filter_._memory)
+    x, R, P, memory, settings = filter_.arrays
+    return settings, (x, R, P, memory)
 
 
 def smooth(
