@@ -51,10 +51,14 @@ class Outcome:
 
     @property
     def unfused(self) -> int:
-        """Scans between the first and the last fused one that have no fused message."""
+        """Scans between the first and the last fused one that have no fused message.
+
+        A scan lasts until the next one begins; whose reading in it is the reference may change.
+        """
         scans, fused = self.recorded.raw[0].stamp_ns, self.recorded.track.stamp_ns
         inside = scans[(scans >= fused[0]) & (scans <= fused[-1])]
-        return int(np.isin(inside, fused, invert=True).sum())
+        fused_until = np.searchsorted(fused, np.append(inside, fused[-1] + 1))
+        return int((np.diff(fused_until) == 0).sum())
 
     @property
     def replay_difference(self) -> float:

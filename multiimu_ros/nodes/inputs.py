@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 import numpy as np
+from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -43,6 +44,8 @@ class ImuInput:
     ----------
     received, malformed : int
         Messages taken; those among them that were no Imu, or had no stamp.
+    publishers : int
+        How many the middleware has joined to this subscription.
     rate_hz : float
         Median rate of the last stamps [Hz]; NaN before there are enough.
     heard : float
@@ -53,6 +56,7 @@ class ImuInput:
         self.topic = topic
         self.received = 0
         self.malformed = 0
+        self.publishers = 0
         self.rate_hz = float('nan')
         self.heard = time.monotonic()
         self.stamps_ns: deque[int] = deque(maxlen=100)
@@ -64,6 +68,10 @@ class ImuInput:
         self.stamps_ns.append(stamp_ns)
         if self.received == FIRST_RATE:
             self.measure_rate()
+
+    def on_matched(self, info: QoSSubscriptionMatchedInfo) -> None:
+        """Note that a publisher has come or gone."""
+        self.publishers = info.current_count
 
     def measure_rate(self) -> None:
         """Work out the rate; called now and then."""
@@ -120,6 +128,7 @@ class ImuInputs:
                 partial(self._on_data, k, stream),
                 RELIABLE_QOS if reliable else QOS,
                 raw=True,
+                event_callbacks=SubscriptionEventCallbacks(matched=stream.on_matched),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
             for k, stream in enumerate(self.streams)

@@ -16,7 +16,7 @@ from multiimu_ros.nodes.convert import decode_imu
 from multiimu_ros.nodes.run import run
 
 PERIOD_S = 0.25
-STAGES = ('data_raw', 'data_calibrated', 'data_registered')
+JOINED = ('registration', 'fusion')  # calibration waits for topics that open with the port
 
 
 class MonitorNode(Node):
@@ -57,13 +57,19 @@ class MonitorNode(Node):
             figures = {value.key: value.value for value in status.values}
             self._figures[status.name] = figures | {'message': status.message}
 
+    def _is_ready(self) -> bool:
+        """Say whether all who have to hear each other do."""
+        imus = [f'imu{k}' for k in range(self._count)]
+        # The raw topics have two listeners: calibration and the recorder.
+        heard = all(self.count_subscribers(f'{imu}/data_raw') > 1 for imu in imus)
+        ends = [self._figures.get(f'{node}: {imu}', {}) for node in JOINED for imu in imus]
+        joined = all(int(end.get('publishers', 0)) > 0 for end in ends)
+        return heard and joined and self.count_publishers('imu/data') > 0
+
     def _tell(self) -> None:
         now, ages = time.monotonic(), self._ages
-        last = f'imu{self._count - 1}'
-        listeners = [self.count_subscribers(f'{last}/{stage}') for stage in STAGES]
         line = {
-            # The raw topics have two listeners: calibration and the recorder.
-            'ready': listeners[0] > 1 and all(listeners) and self.count_publishers('imu/data') > 0,
+            'ready': self._is_ready(),
             'received': self._received,
             'rate_hz': len(ages) / (now - self._begin),
             'still': self._stamp_ns - self._still_ns < 1e9 * PERIOD_S / 2,

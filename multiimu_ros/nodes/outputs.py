@@ -11,7 +11,7 @@ DEPTH = 200
 
 
 class Output:
-    """A publisher that knows whether it is `wanted`.
+    """A publisher that knows its `subscribers`, and whether it is `wanted`.
 
     The middleware reports each subscriber that comes or goes; asking it per message costs more
     than the message.
@@ -25,6 +25,7 @@ class Output:
     """
 
     def __init__(self, node: Node, kind: type[Any], topic: str) -> None:
+        self.subscribers = 0
         self.wanted = False
         self.publisher = node.create_publisher(
             kind,
@@ -36,4 +37,5 @@ class Output:
         self.send = self.publisher.publish
 
     def _on_matched(self, info: QoSPublisherMatchedInfo) -> None:
-        self.wanted = info.current_count > 0
+        self.subscribers = info.current_count
+        self.wanted = self.subscribers > 0

@@ -98,6 +98,8 @@ class StageNode(Node):
             'received': stream.received,
             'malformed': stream.malformed,
             'not finite': invalid,
+            'publishers': stream.publishers,
+            'subscribers': self._outputs[k].subscribers,
         }
         level, message = OK, 'ok'
         if not stream.received:

@@ -149,6 +149,7 @@ def _imu_status(
         'weight': imu.weight,
         'received': stream.received,
         'malformed': stream.malformed,
+        'publishers': stream.publishers,
         'rejected': imu.rejected,
         'gaps': imu.gaps,
         'exclusions': imu.fault.exclusions,

@@ -13,10 +13,10 @@ from multiimu_ros.compiled import compiled
 
 RING = 2048  # samples kept of each stream: a second at 2 kHz, far more than any patience
 
-COLUMNS = 14  # of the table
+COLUMNS = 15  # of the table
 (
     WRITTEN, CURSOR, LATEST, PERIOD, WAITED, USABLE_FROM, ENABLED, FAULT, REPEATED,
-    RECEIVED, BACKWARD, INVALID, STUCK, GAPS,
+    RECEIVED, BACKWARD, INVALID, STUCK, GAPS, BURST,
 ) = range(COLUMNS)  # fmt: skip
 
 CLOCK_FIELDS = 5
@@ -51,7 +51,7 @@ class Streams(NamedTuple):
 def restart(streams: Streams) -> None:
     """Forget the samples of every stream; keep counters, periods and enabled flags."""
     for row in streams.table:
-        row[WRITTEN] = row[CURSOR] = row[FAULT] = row[REPEATED] = 0
+        row[WRITTEN] = row[CURSOR] = row[FAULT] = row[REPEATED] = row[BURST] = 0
         row[LATEST] = NEVER
         row[WAITED] = 1
         row[USABLE_FROM] = NEVER
@@ -84,6 +84,8 @@ def take(streams: Streams, k: int, stamp: int) -> int:
         _note_interval(row, stamp, settings)
     elif stamp > clock[STARTED] + settings[START_PATIENCE] and clock[STARTED] != NEVER:
         row[USABLE_FROM] = stamp + settings[PROBATION]
+    if row[WRITTEN] == 0 or row[BURST] == 1:
+        row[BURST] = stamp < clock[NEWEST] - settings[PATIENCE]
     row[WAITED] = 1
     row[FAULT] = HEALTHY
     row[LATEST] = stamp
@@ -181,7 +183,10 @@ def advance(streams: Streams) -> int:
 
 @compiled
 def _is_overdue(row: Stamps, clock: Stamps, stamp: int, settings: Stamps) -> bool:
-    patience = settings[START_PATIENCE] if row[LATEST] == NEVER else settings[PATIENCE]
+    # At the start topics are discovered one by one, and what one of them kept comes in a burst.
+    begun = clock[STARTED] + settings[START_PATIENCE]
+    starting = row[LATEST] == NEVER or (row[BURST] == 1 and stamp < begun)
+    patience = settings[START_PATIENCE] if starting else settings[PATIENCE]
     return bool(clock[NEWEST] >= stamp + patience)
 
 

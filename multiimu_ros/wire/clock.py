@@ -6,8 +6,10 @@ window: of all lines below the points it is the one closest to their mean [1]_. 
 smallest delay, which no arrival can show; exchanges (sent, device ticks, arrival) bound it from
 below too, and half of what then remains is taken off.
 
-Stamps follow a line of their own, which bends towards the newest estimate and never jumps.  Where
-the ticks start again (a board that was reset), a new epoch begins behind the last stamp.
+Stamps follow a line of their own, which bends towards the newest estimate and never jumps: gently
+towards what is estimated, and quickly where a stamp lies after its own arrival, which proves it
+wrong, as when the first bytes of all were late.  Where the ticks start again (a board that was
+reset), a new epoch begins behind the last stamp.
 
 Residuals here are y = arrival - 1000 * x [ns] over x = unwrapped ticks [us], both since the start
 of the epoch: floats that lose nothing.
@@ -28,6 +30,7 @@ _WINDOW_US = 30e6  # a resonator that warms up by 0.1 ppm/s bends by 11 us in it
 _EXCHANGES = 32
 _MAX_SKEW = 20.0  # [ns/us] 2 %, four times a ceramic resonator's tolerance
 _MAX_SLEW = 10.0  # [ns/us] how much the stamps bend beyond that
+_HURRY = 250.0  # [ns/us] the same where a stamp is proven to be late
 _HORIZON_US = 2e6  # an error is gone after this long, or half an epoch's age
 _SHORT_US = 3e5  # lateness of 0.3 ms over this looks like a skew of 1000 ppm
 _STALL_US = 10e6  # a stream that is further off its clock than this has a new clock
@@ -75,7 +78,10 @@ class DeviceClock:
         _append(self._block, (float(x), y))
         late = y - self._line[0] - self._line[1] * x
         self._late = (self._late[0] + 1, self._late[1] + late, self._late[2] + late * late)
-        self._stamp = max(self._stamp + 1, self._origin + 1000 * x + round(self._out(x)))
+        out = self._out(x)
+        self._stamp = max(self._stamp + 1, self._origin + 1000 * x + round(out))
+        if out > y:
+            self._bend(x, out, -_HURRY, (out - y) / _HURRY)
         return self._stamp
 
     def bound(self, ticks_us: int, sent_ns: int, arrival_ns: int) -> None:
@@ -140,9 +146,12 @@ class DeviceClock:
         return min(y - drift * x for x, y in self._points), drift
 
     def _bend_to(self, x: int, target: float) -> None:
-        now, drift = self._out(x), self._line[1]
+        now = self._out(x)
         horizon = min(_HORIZON_US, max(2e5, x / 2.0))
-        bend = max(-_MAX_SLEW, min(_MAX_SLEW, (target - now) / horizon))
+        self._bend(x, now, max(-_MAX_SLEW, min(_MAX_SLEW, (target - now) / horizon)), horizon)
+
+    def _bend(self, x: int, now: float, bend: float, horizon: float) -> None:
+        drift = self._line[1]
         self._segment = (float(x), now, drift, bend, horizon)
         self.ns_per_tick = 1000.0 + drift + bend
 

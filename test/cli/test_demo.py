@@ -53,6 +53,9 @@ def test_a_scan_without_fused_message_is_counted():
     object.__setattr__(hole, 'stamp_ns', np.delete(track.stamp_ns[:103], [3, 40, 41]))
     object.__setattr__(whole.recorded, 'track', hole)
     assert whole.unfused == 3
+    # Another IMU's stamps a little later in the same scans are as good.
+    object.__setattr__(hole, 'stamp_ns', np.delete(track.stamp_ns[:103] + 400_000, [3, 40, 41]))
+    assert whole.unfused == 3
 
 
 def test_the_report_tells_how_it_was_measured(tmp_path):

@@ -2,6 +2,7 @@
 
 import time
 
+from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -112,6 +113,21 @@ def test_what_is_not_a_number_is_never_published(rig_file):
         peer.spin(0.2)
     assert len(answers) == 5
     assert np.isfinite([imu_values(answer) for answer in answers]).all()
+
+
+def test_diagnostics_tell_who_has_met_whom(rig_file):
+    def ends():
+        lines = [line for array in said for line in array.status]
+        own = [line for line in lines if line.name == 'calibration: imu0']
+        values = {value.key: value.value for value in own[-1].values} if own else {}
+        return values.get('publishers'), values.get('subscribers')
+
+    with node_process('calibration', rig_file=rig_file), ros_peer() as peer:
+        said = peer.collect(DiagnosticArray, '/diagnostics', depth=10)
+        peer.wait_until(lambda: ends() == ('0', '0'), 5.0)
+        peer.collect(ImuMessage, 'imu0/data_calibrated')
+        peer.wait_for_matches(['imu0/data_raw'], ['imu0/data_calibrated'])
+        peer.wait_until(lambda: ends() == ('1', '1'), 5.0)
 
 
 @pytest.mark.parametrize('name', ['calibration', 'registration', 'fusion'])

@@ -239,6 +239,29 @@ def test_a_stream_that_never_speaks_is_waited_for_at_the_start_only():
     assert scans == []
 
 
+def test_a_topic_that_is_discovered_late_and_comes_in_a_burst_loses_nothing():
+    early = round(0.8 * CONFIG.start_patience_s / 5e-3)
+    first, second, third = (stream_of(k, 300) for k in range(3))
+    rest = sorted(first[early:] + second[early:] + third[early:])
+    _, scans = scans_of([*second[:early], *first[:early], *third[:early], *rest])
+    _, in_order = scans_of(sorted(first + second + third))
+    assert [scan.stamp_ns for scan in scans] == [scan.stamp_ns for scan in in_order]
+    assert np.array_equal([scan.values for scan in scans], [scan.values for scan in in_order])
+    assert all(scan.share.min() == 1.0 for scan in scans)
+
+
+def test_a_stream_that_is_always_late_is_waited_for_at_the_start_only():
+    lag = round(2 * CONFIG.patience_s / 5e-3)
+    late = [(stamp, 1, values) for stamp, _, values in stream_of(1, 300)]
+    samples = list(stream_of(0, lag))
+    for ahead, behind in zip(stream_of(0, 300)[lag:], late, strict=False):
+        samples += [ahead, behind]
+    _, scans = scans_of(samples, count=2)
+    waited = present(scans, 1)
+    assert waited[:50].all()
+    assert not waited[120:].any()
+
+
 def test_a_disabled_stream_is_left_out_until_it_is_enabled_again():
     synchronizer = Synchronizer(2, CONFIG)
     scans = []
