@@ -16,14 +16,15 @@ class TransformOutput:
     Raises
     ------
     ConfigError
-        If tf2_ros is not installed.
+        If tf2_ros cannot be imported; says what to install.
     """
 
     def __init__(self, node: Node, odom_frame: str, base_frame: str) -> None:
         try:
             tf2_ros = import_module('tf2_ros')
         except ImportError as error:
-            msg = '`publish_tf` needs tf2_ros, which is not installed; install ros-jazzy-tf2-ros.'
+            # The C++ package ros-jazzy-tf2-ros holds no Python module.
+            msg = f'`publish_tf` needs tf2_ros ({error}); install ros-jazzy-tf2-ros-py.'
             raise ConfigError(msg) from error
         self._broadcaster = tf2_ros.TransformBroadcaster(node)
         self._msg = TransformStamped(child_frame_id=base_frame)
