@@ -1,5 +1,6 @@
 """Settings of an attitude filter in a hand, and eight IMUs there, for the tests."""
 
+from blocks import frames_of
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -27,11 +28,7 @@ def attitude_error_of_eight(seed, duration, rate_hz):
     path = trajectory('hand', duration, seed)
     simulated = simulate(ring(), path, rate_hz, seed=seed)
     pipeline = Pipeline(calibrated_rig(simulated.rig, seed + 1000), PipelineConfig())
-    stamps = np.concatenate([stream.stamp_ns for stream in simulated.raw])
-    imus = np.repeat(np.arange(8), [len(stream.stamp_ns) for stream in simulated.raw])
-    values = np.vstack([np.hstack([s.angular_rate, s.specific_force]) for s in simulated.raw])
-    order = np.lexsort((imus, stamps))
-    frames = list(pipeline.push_block(imus[order], stamps[order], values[order]))
+    frames = frames_of(pipeline, simulated.raw)
     time = 1e-9 * (np.array([frame.stamp_ns for frame in frames]) - simulated.truth_ns[0])
     answer = Rotation.from_quat(np.array([frame.orientation for frame in frames]))
     error = Rotation.from_matrix(path.at(time).R_nb) * answer.inv()

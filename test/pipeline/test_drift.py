@@ -2,6 +2,7 @@
 
 from functools import cache
 
+from blocks import frames_of
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -11,7 +12,6 @@ from multiimu_ros.fusion.age import utc_text
 from multiimu_ros.fusion.drift import DriftMonitor
 from multiimu_ros.nodes.biases import with_biases
 from multiimu_ros.pipeline import Pipeline, PipelineConfig
-from multiimu_ros.report.tracks import in_order
 from multiimu_ros.simulation.calibrated import calibrated_rig
 from multiimu_ros.simulation.placements import row
 from multiimu_ros.simulation.recording import simulate
@@ -72,8 +72,7 @@ def live(rig, truth, duration, seed=0, motion='hand'):
     path = trajectory(motion, duration, seed)
     recording = simulate(truth, path, RATE_HZ, seed=seed + 50)
     pipeline = Pipeline(rig, PipelineConfig())
-    readings = in_order(recording.raw)
-    return [frame for reading in readings for frame in pipeline.push(*reading)], pipeline
+    return frames_of(pipeline, recording.raw), pipeline
 
 
 def raised(pipeline):

@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 from typing import get_args
 
+from blocks import block_of, frames_of
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -46,18 +47,9 @@ def recording(placement, *size, seed=1, duration=12.0, motion='hand', dropout=0.
     return path, simulated, calibrated_rig(simulated.rig, seed + 1000)
 
 
-def block_of(streams):
-    """Return index, stamp and reading of all samples in the order of their stamps."""
-    stamps = np.concatenate([stream.stamp_ns for stream in streams])
-    imus = np.repeat(np.arange(len(streams)), [len(stream) for stream in streams])
-    values = [np.hstack([s.angular_rate, s.specific_force]) for s in streams]
-    order = np.lexsort((imus, stamps))
-    return imus[order], stamps[order], np.concatenate(values)[order]
-
-
 def run(rig, streams, **settings):
     pipeline = Pipeline(rig, PipelineConfig(**settings))
-    return pipeline, list(pipeline.push_block(*block_of(streams)))
+    return pipeline, frames_of(pipeline, streams)
 
 
 def stacked(frames, name):

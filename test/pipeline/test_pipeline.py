@@ -2,6 +2,7 @@
 
 from functools import cache
 
+from blocks import frames_of
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -27,14 +28,6 @@ def recording(seed=0, duration=12.0, placement=row, motion='hand'):
     return path, simulated, calibrated_rig(simulated.rig, seed + 1000)
 
 
-def run(pipeline, streams):
-    """Push the samples of all streams in the order of their stamps."""
-    values = [np.hstack([s.angular_rate, s.specific_force]).tolist() for s in streams]
-    stamps = [stream.stamp_ns.tolist() for stream in streams]
-    order = sorted((t, k, i) for k, times in enumerate(stamps) for i, t in enumerate(times))
-    return [frame for t, k, i in order for frame in pipeline.push(k, t, values[k][i])]
-
-
 def stacked(frames, name):
     return np.array([getattr(frame, name) for frame in frames])
 
@@ -48,7 +41,7 @@ def nees(error, covariance):
 def scores(seed):
     """Return the NEES of everything that a frame says, 3 s after the start and on."""
     path, simulated, rig = recording(seed, 40.0)
-    frames = run(Pipeline(rig, PipelineConfig()), simulated.raw)
+    frames = frames_of(Pipeline(rig, PipelineConfig()), simulated.raw)
     truth = path.at(1e-9 * (stacked(frames, 'stamp_ns') - simulated.truth_ns[0]))
     R, R_est = (
         Rotation.from_matrix(truth.R_nb),
@@ -91,8 +84,8 @@ def test_every_entrance_leads_to_the_same_frames(stage):
     ]
     if stage == 'registered':
         streams = [register(s, imu) for s, imu in zip(streams, rig.imus, strict=True)]
-    frames = run(Pipeline(rig, PipelineConfig(input=stage)), streams)
-    reference = run(Pipeline(rig, PipelineConfig()), simulated.raw)
+    frames = frames_of(Pipeline(rig, PipelineConfig(input=stage)), streams)
+    reference = frames_of(Pipeline(rig, PipelineConfig()), simulated.raw)
     assert len(frames) == len(reference) > 0
     for ours, theirs in zip(frames, reference, strict=True):
         assert ours.stamp_ns == theirs.stamp_ns
@@ -103,7 +96,7 @@ def test_every_entrance_leads_to_the_same_frames(stage):
 def test_every_scan_of_the_reference_becomes_a_frame():
     _, simulated, rig = recording(placement=ring)
     pipeline = Pipeline(rig, PipelineConfig())
-    frames = run(pipeline, simulated.raw)
+    frames = frames_of(pipeline, simulated.raw)
     # The last scan waits for samples that never come, except the reference's own.
     assert len(frames) >= len(simulated.raw[0]) - 1
     assert np.isin(stacked(frames, 'stamp_ns'), simulated.raw[0].stamp_ns).all()
@@ -113,7 +106,7 @@ def test_every_scan_of_the_reference_becomes_a_frame():
 @pytest.mark.slow  # where nothing is compiled
 def test_two_runs_are_bit_identical():
     _, simulated, rig = recording()
-    once, twice = (run(Pipeline(rig, PipelineConfig()), simulated.raw) for _ in range(2))
+    once, twice = (frames_of(Pipeline(rig, PipelineConfig()), simulated.raw) for _ in range(2))
     assert np.array_equal(stacked(once, 'record'), stacked(twice, 'record'))
 
 
@@ -121,9 +114,10 @@ def test_two_runs_are_bit_identical():
 def test_a_reset_starts_anew():
     _, simulated, rig = recording()
     pipeline = Pipeline(rig, PipelineConfig())
-    once = run(pipeline, simulated.raw)
+    once = frames_of(pipeline, simulated.raw)
     pipeline.reset()
-    assert np.array_equal(stacked(once, 'record'), stacked(run(pipeline, simulated.raw), 'record'))
+    twice = frames_of(pipeline, simulated.raw)
+    assert np.array_equal(stacked(once, 'record'), stacked(twice, 'record'))
 
 
 def test_an_imu_that_dies_is_named_and_leaves_no_step():
@@ -133,7 +127,7 @@ def test_an_imu_that_dies_is_named_and_leaves_no_step():
     for dead in (0, 5):  # the reference of the clock among them
         streams[dead] = streams[dead].select(streams[dead].stamp_ns < dies_at)
     pipeline = Pipeline(rig, PipelineConfig())
-    frames = run(pipeline, streams)
+    frames = frames_of(pipeline, streams)
     states = [health.state for health in pipeline.health()]
     assert states == ['absent', 'ok', 'ok', 'ok', 'ok', 'absent', 'ok', 'ok']
     assert np.diff(stacked(frames, 'stamp_ns')).max() <= 1.2e9 / RATE_HZ
@@ -153,7 +147,7 @@ def test_no_frame_ever_holds_a_nan():
         force[rng.random(len(force)) < 0.2] = np.nan
         streams.append(type(stream)(stream.stamp_ns, stream.angular_rate, force))
     pipeline = Pipeline(rig, PipelineConfig())
-    frames = run(pipeline, streams)
+    frames = frames_of(pipeline, streams)
     assert len(frames) > 1000
     assert np.isfinite(stacked(frames, 'record')).all()
     assert all(health.rejected > 300 for health in pipeline.health())
@@ -162,9 +156,9 @@ def test_no_frame_ever_holds_a_nan():
 def test_when_time_jumps_back_attitude_and_biases_stay_and_the_motion_starts_anew():
     _, simulated, rig = recording()
     pipeline = Pipeline(rig, PipelineConfig())
-    last = run(pipeline, simulated.raw)[-1]
+    last = frames_of(pipeline, simulated.raw)[-1]
     biases, *_ = pipeline.biases()
-    first = run(pipeline, [stream.select(slice(0, 3)) for stream in simulated.raw])[0]
+    first = frames_of(pipeline, [stream.select(slice(0, 3)) for stream in simulated.raw])[0]
     assert pipeline.time_jumps == 1
     assert (first.position_n == 0.0).all()
     turned = Rotation.from_quat(first.orientation) * Rotation.from_quat(last.orientation).inv()
@@ -177,7 +171,7 @@ def test_the_biases_that_a_rest_shows_are_those_of_the_gyroscopes():
     pipeline = Pipeline(simulated.rig.model_copy(update={'imus': tuple(
         imu.model_copy(update={'intrinsics': None}) for imu in simulated.rig.imus
     )}), PipelineConfig())  # fmt: skip
-    run(pipeline, simulated.raw)
+    frames_of(pipeline, simulated.raw)
     biases, variance, rest = pipeline.biases()
     for imu, bias, sigma in zip(simulated.rig.imus, biases, np.sqrt(variance), strict=True):
         true = np.array(imu.intrinsics.gyroscope.bias)
@@ -196,7 +190,7 @@ def test_a_disabled_imu_has_no_weight():
     _, simulated, rig = recording()
     pipeline = Pipeline(rig, PipelineConfig())
     pipeline.set_enabled(1, enabled=False)
-    frames = run(pipeline, simulated.raw)
+    frames = frames_of(pipeline, simulated.raw)
     assert frames[-1].weights[1] == 0.0
     assert_allclose(frames[-1].weights.sum(), 1.0, rtol=1e-12)
     assert pipeline.health()[1].state == 'disabled'
