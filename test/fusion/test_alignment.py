@@ -12,6 +12,7 @@ def configured(**settings):
     return ArrayFusionConfig(angular_acceleration_sigma=50.0, jerk_sigma=500.0, **settings)
 
 
+@pytest.mark.compiled
 def test_when_an_imu_leaves_and_returns_nothing_jumps(rng):
     bias = 0.05 * rng.standard_normal((4, 6))
     readings = bias + 1e-6 * rng.standard_normal((2000, 4, 6))
@@ -22,6 +23,7 @@ def test_when_an_imu_leaves_and_returns_nothing_jumps(rng):
     assert_allclose(values, np.broadcast_to(bias.mean(axis=0), values.shape), atol=2e-5)
 
 
+@pytest.mark.compiled
 def test_an_imu_that_returns_with_another_bias_does_not_move_the_rest(rng):
     bias = 0.05 * rng.standard_normal((4, 6))
     readings = bias + 1e-6 * rng.standard_normal((2000, 4, 6))
@@ -33,6 +35,7 @@ def test_an_imu_that_returns_with_another_bias_does_not_move_the_rest(rng):
     assert_allclose(values, np.broadcast_to(bias.mean(axis=0), values.shape), atol=2e-5)
 
 
+@pytest.mark.compiled
 def test_the_offsets_are_the_differences_of_the_biases(rng):
     bias = 0.05 * rng.standard_normal((3, 6))
     fusion = ArrayFusion(model_of(3, bias_sigma=0.1), configured())
@@ -50,6 +53,7 @@ def test_an_imu_that_speaks_first_does_not_impose_its_bias(rng):
     assert_allclose(values[3:], np.broadcast_to(bias.mean(axis=0), values[3:].shape), atol=2e-5)
 
 
+@pytest.mark.compiled
 def test_where_nobody_is_trusted_nothing_is_learnt(rng):
     bias = 0.05 * rng.standard_normal((4, 6))
     readings = bias + [0, 0, 0, 0, 0, 9.81] + 1e-6 * rng.standard_normal((1000, 4, 6))
@@ -62,6 +66,7 @@ def test_where_nobody_is_trusted_nothing_is_learnt(rng):
     assert_allclose(frames[600].values, frames[499].values, atol=1e-5)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize('guard', [True, False])
 @pytest.mark.parametrize('count', [2, 3])
 def test_a_step_of_one_imu_hardly_moves_its_offset(count, guard, rng):

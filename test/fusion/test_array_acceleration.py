@@ -116,6 +116,7 @@ def readings(rng, arms, trials, slope_sigma):
     return truth, np.array(found), np.array(covariances)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize('arms', [RING, CUBE, RING[:3] + 0.02, RING[:1], RING[[0, 4]]])
 def test_the_covariance_is_that_of_the_error(arms, rng):
     truth, found, P = readings(rng, arms, 2000, np.array([0.5, 1.0, 2.0]))
@@ -195,6 +196,7 @@ def hand(rng, rate_hz, seconds):
     return rate, acceleration
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize('rate_hz', [200.0, 1000.0])
 def test_the_two_together_are_nearer_than_either_in_a_waving_hand(rate_hz, rng):
     seconds, density = (5.0, 2.0)[rate_hz > 500], np.array([1.2e-4, 1.8e-3])  # gyro, force

@@ -39,6 +39,7 @@ def test_n_imus_are_root_n_better_than_one(count, rng):
     assert_allclose(frames[-1].weights, 1.0 / count, rtol=1e-9)
 
 
+@pytest.mark.compiled
 def test_a_noisy_imu_weighs_as_little_as_its_variance_demands(rng):
     density = np.outer([1.0, 1.0, 2.5], DENSITY)
     readings = np.array([1.0, 1.0, 2.5])[:, None] * SIGMA * rng.standard_normal((4000, 3, 6))
@@ -159,6 +160,7 @@ def test_the_first_scan_has_its_forces_already(rng):
         assert (np.abs(frame.values - truth[0]) < 5 * np.sqrt(frame.variance)).all()
 
 
+@pytest.mark.compiled
 def test_accelerometers_find_the_turn_that_an_unbalanced_array_needs(rng):
     angle = 2 * np.pi * np.arange(8) / 8
     arms = np.stack([0.09 + 0.08 * np.cos(angle), 0.08 * np.sin(angle), 0 * angle], axis=1)

@@ -55,6 +55,7 @@ def test_weights_reach_the_ideal_of_unlike_imus_and_averaging_does_not(rng):
     assert_allclose(weighted.mean_single / UNIT, (2 + 2.45) / 3, rtol=4 * ERROR)
 
 
+@pytest.mark.compiled
 @settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_motion_is_not_measured(seed):

@@ -207,6 +207,7 @@ def test_without_a_turn_nothing_is_known_of_the_response(rng):
     assert raised(gaps) == set()
 
 
+@pytest.mark.compiled
 def test_the_response_of_honest_imus_is_within_its_sigma(rng):
     scores = []
     for _ in range(100):

@@ -288,6 +288,7 @@ def test_names_and_units_do_not_matter(order, seed, unit):
     assert words(other) == [words(plain)[i] for i in order]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize('rate_hz', [50.0, 200.0, 1000.0])
 def test_memories_are_seconds_whatever_the_rate(rate_hz):
     # Without noise a step of s sigma in 200 Hz units crosses where the density says, not the rate.

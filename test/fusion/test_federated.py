@@ -40,6 +40,7 @@ def test_the_federated_filter_equals_the_centralised_one_for_any_shares(seed):
     assert_allclose((x, P), reference, rtol=1e-9, atol=1e-11)
 
 
+@pytest.mark.compiled
 def test_the_error_is_as_large_as_the_filter_says(rng):
     R, Q, runs = np.array([[1.0], [4.0], [9.0]]) * np.ones((3, 2000)), np.full(2000, 0.3), 400
     truth, x, P = np.zeros(2000), np.zeros(2000), np.full(2000, np.inf)

@@ -144,6 +144,7 @@ PEAKS = {
 }
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize('peak', PEAKS)
 @pytest.mark.parametrize('arms', [RING, CUBE], ids=['ring', 'cube'])
 def test_a_bridge_beats_integration_and_holding_and_knows_its_error(arms, peak, rng):
@@ -159,6 +160,7 @@ def test_a_bridge_beats_integration_and_holding_and_knows_its_error(arms, peak, 
     assert 0.65 < nees.mean() < 1.4
 
 
+@pytest.mark.compiled
 def test_the_gyroscopes_return_without_a_jump(rng):
     jumps = np.concatenate([ride(rng, RING, peak, 17.45)[2] for peak in PEAKS.values()])
     assert len(jumps) >= 3
@@ -171,6 +173,7 @@ def test_sensors_that_are_turned_lend_the_axes_that_still_measure(rng):
     assert 0.5 < nees.mean() < 1.6  # some 200 scans, as above: standard error 0.2
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize('peak', PEAKS)
 def test_a_bias_that_counts_for_as_long_as_it_lasts_leaves_the_bridge_honest(peak, rng):
     sigma, lasts = 0.02, 1.0  # [m/s^2] left by calibration; [s] of the gap
@@ -213,6 +216,7 @@ def test_a_reading_at_its_limit_is_a_bound(rng):
     assert nees.mean() < 1.3
 
 
+@pytest.mark.compiled
 def test_a_scan_whose_forces_disagree_is_believed_less(rng):
     rate, acceleration = waves(rng, np.array([0.0, 0.0, 40.0]))
     shaken = 30.0 * FORCE_SIGMA * rng.standard_normal((len(rate), *RING.shape))

@@ -155,6 +155,7 @@ def own_motion(rng, times):
     return x
 
 
+@pytest.mark.compiled
 def test_on_its_own_model_the_covariance_is_true(rng):
     scores = []
     for _ in range(16):
@@ -246,6 +247,7 @@ def test_on_a_hand_it_is_as_noisy_beside_the_synchronised_path_as_the_page_says(
         assert np.mean(single[:, triad] ** 2 / variances[:, triad]) < 1.15
 
 
+@pytest.mark.compiled
 @settings(max_examples=8)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_same_samples_in_any_order_of_topics_give_the_same_bits(seed):
@@ -272,6 +274,7 @@ def test_the_same_samples_in_any_order_of_topics_give_the_same_bits(seed):
         assert np.array_equal(P, Q)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(('density', 'share'), [(1.0, 1 / 2), (np.sqrt(0.5), 2 / 3)])
 def test_a_stream_at_double_rate_counts_double_if_its_samples_are_as_good(density, share):
     # White noise of one density says as much per second at any rate; samples of one sigma at

@@ -229,6 +229,7 @@ def moving_board(count, seconds, *, noisy=None, calibrated=True):
     return z[moves], values[moves], np.array([s.noise_gain for s in whole])[moves]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize('calibrated', [True, False])
 def test_staggered_imus_in_a_moving_hand_show_the_noise_of_their_samples(calibrated):
     z, _, gain = moving_board(5, 16.0, calibrated=calibrated)
@@ -244,6 +245,7 @@ def test_staggered_imus_in_a_moving_hand_show_the_noise_of_their_samples(calibra
     assert_allclose(means, 1.0, atol=3 * error / np.sqrt(3))
 
 
+@pytest.mark.compiled
 def test_an_imu_of_unknown_noise_costs_no_more_than_its_information():
     healthy, truth, gain = moving_board(3, 16.0)
     third = np.full((3, 6), 1 / 3)

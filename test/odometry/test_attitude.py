@@ -37,6 +37,7 @@ def test_level_puts_the_force_upright_and_yaw_at_zero(polar, azimuth):
         assert abs(np.arctan2(R[1, 0], R[0, 0])) < 1e-9
 
 
+@pytest.mark.compiled
 def test_rest_finds_the_gyro_bias_and_its_uncertainty(rng):
     bias = np.array([1e-3, -2e-3, 5e-4])
     attitude = resting(rng, 20.0, bias=bias)
@@ -46,6 +47,7 @@ def test_rest_finds_the_gyro_bias_and_its_uncertainty(rng):
     assert (abs(attitude.gyro_bias - bias) < 4 * sigma).all()
 
 
+@pytest.mark.compiled
 def test_tilt_never_claims_more_than_the_accelerometer_bias_allows(rng):
     attitude = resting(rng, 20.0)
     tilt = np.sqrt(np.diag(attitude.P))[:2]
@@ -54,6 +56,7 @@ def test_tilt_never_claims_more_than_the_accelerometer_bias_allows(rng):
     assert_allclose(attitude._P[9:, 9:], 0.03**2 * np.eye(3), atol=1e-12)
 
 
+@pytest.mark.compiled
 def test_yaw_variance_grows_in_motion_and_stops_at_rest(rng):
     attitude = resting(rng, 5.0)
     before = attitude.P[2, 2]
@@ -120,11 +123,13 @@ def sway(attitude, seconds, amplitude, omega=3.0, dt=0.02):
     return max(tilts[len(tilts) // 2 :])
 
 
+@pytest.mark.compiled
 def test_the_acceleration_of_a_bounded_motion_hardly_tilts(rng):
     # 2 m/s^2 look like a tilt of 0.2 rad, a hundred times what is left.
     assert sway(resting(rng, 3.0), 20.0, amplitude=2.0) < 0.002
 
 
+@pytest.mark.compiled
 def test_a_wrong_tilt_is_found_from_motion(rng):
     attitude = AttitudeFilter(replace(CONFIG, rate_bias_sigma=np.zeros(3)))
     attitude.align(np.array([1.0, 0.0, G]), 1.0)  # 0.1 rad wrong, and known to be so

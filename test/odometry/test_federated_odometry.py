@@ -47,6 +47,7 @@ def without(missing):
     return values
 
 
+@pytest.mark.compiled
 def test_a_single_imu_at_the_base_is_the_error_state_filter():
     some = board('hand', 6.0, 100, seed=1, arms=np.zeros((1, 3)))
     odometry = FederatedOdometry(
@@ -79,6 +80,7 @@ def test_a_base_that_only_turns_stays_while_its_imu_circles():
         assert_allclose(odometry.velocity_n, 0.0, atol=1e-3)
 
 
+@pytest.mark.compiled
 def test_three_like_imus_are_one_virtual_imu():
     some = board('hand', 8.0, 100, seed=2)
     seen = flags(some, 'hand')
@@ -136,6 +138,7 @@ def test_a_gyroscope_that_fails_in_a_walk_takes_its_error_along():
     assert fused > 10 * left  # a third of 20 deg/s for the virtual IMU, if nobody guards it
 
 
+@pytest.mark.compiled
 def test_a_lost_sample_does_not_move_the_master():
     some = board('hand', 6.0, 100, seed=4)
     seen = flags(some, 'hand')
@@ -190,6 +193,7 @@ def test_two_that_differ_are_both_kept():
     assert_allclose(odometry.shares, 0.5)
 
 
+@pytest.mark.compiled
 def test_a_standing_rig_stays_where_it_is(rng):
     odometry, positions = three(), []
     noise = DENSITY * np.sqrt(100) * rng.standard_normal((1000, 3, 6))

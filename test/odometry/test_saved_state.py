@@ -65,6 +65,7 @@ def saved(stamp_ns=10 * SECOND, seed=1, end=12.0):
     ), odometry  # fmt: skip
 
 
+@pytest.mark.compiled
 def test_what_is_saved_is_what_is_loaded(tmp_path):
     state, odometry = saved()
     path = tmp_path / 'state.json'
@@ -76,6 +77,7 @@ def test_what_is_saved_is_what_is_loaded(tmp_path):
     assert_allclose(state.covariance, odometry.P, rtol=1e-9, atol=1e-15)
 
 
+@pytest.mark.compiled
 def test_a_state_that_does_not_fit_is_refused_in_a_sentence(tmp_path):
     path = tmp_path / 'state.json'
     save_state(saved()[0], path)
@@ -114,6 +116,7 @@ def test_a_state_that_does_not_fit_is_refused_in_a_sentence(tmp_path):
         save_state(saved()[0], tmp_path / 'none' / 'state.json')
 
 
+@pytest.mark.compiled
 def test_the_longer_the_restart_the_less_is_known():
     state, odometry = saved()
     config = odometry._config

@@ -49,6 +49,7 @@ def percent(position, truth):
     return 100 * np.array([error[-1], np.sqrt(np.mean(error**2))]) / length
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize('seconds', [4.0, 12.0])  # no long rest yet; a rest and some strides
 def test_stream_and_batch_agree(rng, seconds):
     motion = make_motion('foot', seconds, 100, seed=2)
@@ -117,6 +118,7 @@ def test_a_loop_of_100_m_ends_where_the_sources_scheme_does():
     assert np.mean(scores) < 1.0
 
 
+@pytest.mark.compiled
 def test_what_it_knows_grows_until_the_velocity_is_reset(rng):
     stream, sigmas = scheme(), []
     for sample in recorded(make_motion('foot', 12.0, 100, seed=1), rng, 100)[0]:

@@ -139,6 +139,7 @@ def test_solve_takes_no_direction_from_a_singular_matrix(rng):
     assert_allclose(P @ X, B, atol=1e-9)
 
 
+@pytest.mark.compiled
 def test_the_forward_pass_is_the_filter():
     _, recording, config, _, _ = live('foot', 'foot', 8.0, 50, seed=3)
     moving = replace(recording, resting=np.zeros_like(recording.resting))
@@ -226,6 +227,7 @@ def test_uncertainty_is_what_the_smoothed_error_is():
     assert np.median(gains) > 1.5
 
 
+@pytest.mark.compiled
 def test_a_standing_rig_has_stood_all_the_time(rng):
     still = make_motion('static', 20.0, 50)
     rate, force, *_ = read(still, rng, 50)
