@@ -6,7 +6,12 @@ from dataclasses import replace
 import numpy as np
 
 from multiimu_ros.calibration.sensor_model import affine
-from multiimu_ros.fusion.rig_model import bias_walk_density, bias_walks, RigModel
+from multiimu_ros.fusion.rig_model import (
+    bias_walk_density,
+    bias_walks,
+    level_bias_variance,
+    RigModel,
+)
 from multiimu_ros.navigation import Navigator
 from multiimu_ros.odometry.attitude import AttitudeConfig, AttitudeFilter
 from multiimu_ros.odometry.attitude_baseline import BaselineAttitude
@@ -56,7 +61,8 @@ def navigator(
         What is chosen.
     """
     walk = bias_walk_density(rig)
-    bias_sigma = np.sqrt(model.bias_variance.sum(axis=0)) / len(model.bias_variance)
+    bias_variance = level_bias_variance(model, rig.rig.gravity_magnitude)
+    bias_sigma = np.sqrt(bias_variance.sum(axis=0)) / len(bias_variance)
     scale = model.scale_variance[:, :3, :3].mean()  # of one IMU, one axis
     detector, attitude, odometry = odometry_configs(
         PROFILES[config.profile],
@@ -71,7 +77,7 @@ def navigator(
         'error_state': lambda: ErrorStateFilter(odometry),
         'seeds': lambda: SeedScheme(odometry),
         'federated': lambda: FederatedOdometry(
-            odometry, model.lever_arms_b, np.sqrt(model.bias_variance), np.sqrt(bias_walks(rig)),
+            odometry, model.lever_arms_b, np.sqrt(bias_variance), np.sqrt(bias_walks(rig)),
             model.density,
         ),
     }  # fmt: skip

@@ -149,6 +149,18 @@ def response_variance(rig: Rig) -> Matrix:
     return np.stack([_response_variance(imu) for imu in rig.imus])
 
 
+def level_bias_variance(model: RigModel, gravity: float) -> Vectors:
+    """Return the variance (K, 6) of the biases of a rig that keeps its inclination.
+
+    What gravity makes of the gyroscopes' g-sensitivity is part of it; without that a filter would
+    not believe the bias that it sees at rest.
+    """
+    variance = model.bias_variance.copy()
+    # Whichever axis is up: the mean over the three.
+    variance[:, :3] += gravity**2 * model.response_variance[:, :3, 3:].mean(axis=2)
+    return variance
+
+
 def lever_arm_variance(rig: Rig) -> Vectors:
     """Return the variance (K, 3) of the lever arms [m^2]; what the file is silent on is wide."""
     sigmas = []

@@ -170,11 +170,12 @@ def predict(
 def remember(
     memory: Vector, dt: float, rate: Vector, force: Vector, still: bool, resting: bool
 ) -> None:
-    """Keep the newest sample in `memory` (22,).
+    """Keep the newest sample in `memory` (23,).
 
     These are: last rate, force, whether resting, time still; rate and force before, last dt; then
     what `learn_swing` needs: its logarithm, what a stance has corrected the velocity by (3) and
-    was expected to, the fastest square of the speed since the last stance, time moving.
+    was expected to, the fastest square of the speed since the last stance, time moving; square of
+    the rate that counts against a stance.
     """
     memory[7] = memory[7] + dt if still else 0.0
     memory[21] = 0.0 if still else memory[21] + dt

@@ -41,7 +41,12 @@ class ErrorStateConfig:
     zero_velocity_time : float
         How long that velocity stays correlated [s].
     rolling_arm : float
-        Distance to the point about which a still rig may roll [m].
+        Distance to the point about which a still rig may roll [m], as far as it is not known;
+        a rig that rolls learns no gyro bias and no yaw from being still.
+    rolling_height : float
+        How high above that point the rig is in any case [m].
+    settling_time : float
+        How long the rate at which a stance began counts against it [s].
     motion_sigma : float
         Acceleration of a moving rig, for a start in motion and for gaps [m/s^2].
     motion_velocity_sigma : float
@@ -73,6 +78,8 @@ class ErrorStateConfig:
     motion_velocity_sigma: float
     motion_rate_sigma: float = 1.0
     rolling_arm: float = 0.0
+    rolling_height: float = 0.0
+    settling_time: float = 0.0
     rate_scale_sigma: float = 0.0
     force_scale_sigma: float = 0.0
     learning_strides: float = 0.0
@@ -108,13 +115,15 @@ class ErrorStateFilter:
                 *as_vector(config.force_bias_walk, 'force_bias_walk'),
                 config.rolling_arm,
                 config.learning_strides,
+                config.rolling_height,
+                config.settling_time,
             ]
         )
         self._x = np.zeros(15)
         self._R = np.eye(3)
         sigmas = (np.zeros(6), np.ones(3), config.rate_bias_sigma, config.force_bias_sigma)
         self._P = np.diag(np.square(np.concatenate(sigmas)))
-        self._memory = np.zeros(22)
+        self._memory = np.zeros(23)
         self._aligned = self._started = False
         self._rest = RestBuffer(config.resting_lag)
 

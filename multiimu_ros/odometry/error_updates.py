@@ -9,14 +9,22 @@ import numpy as np
 from multiimu_ros.arrays import Matrix, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.attitude_steps import CONFIRMED, CREDIBLE_SQUARE, level, OUTAGE
-from multiimu_ros.odometry.kalman import scalar_update, transform_block, white_equivalent
+from multiimu_ros.odometry.kalman import (
+    correct,
+    innovate,
+    scalar_update,
+    transform_block,
+    white_equivalent,
+)
 from multiimu_ros.rotations import exp_so3, product, renormalise, skew
 
 SLOWED_SQUARE = 0.25  # a stance begins below half of the greatest speed since the last one
 SWING = 0.03  # [s] a shorter one is a stance in which the detector wavered
 SURPRISE = 4.0  # a stance whose correction is worse than this is itself a fault
 LEAST_LEARNT = -9.2  # ln 1e-4: below a hundredth of the profile's errors they do not matter
-LEARNT = 15  # field of the memory: logarithm of what a swing adds to the velocity's variance
+# Fields of the memory: logarithm of what a swing adds to the velocity's variance; square of the
+# rate that counts against the present stance.
+LEARNT, TURNED = 15, 22
 
 
 @compiled
@@ -52,10 +60,40 @@ def _inject(x: Vector, R: Matrix, P: Matrix, error: Vector) -> None:
 
 
 @compiled
-def _zero_velocity(x: Vector, R: Matrix, P: Matrix, memory: Vector, variance: float) -> None:
+def _see_stance(
+    error: Vector, P: Matrix, up: Vector, residual: Vector, variance: float, rolls: bool
+) -> None:
+    """Correct by the velocity of a stance; `up` (3,) is the vertical in the body frame.
+
+    What each swing leaves again (scale, g-sensitivity, bandwidth) would pass for gyro bias and
+    yaw, of which stances tell nothing by themselves.  A foot that rolls only considers these.
+    """
+    for axis in range(3):
+        h = np.zeros(15)
+        h[3 + axis] = 1.0
+        a, s, innovation = innovate(error, P, h, residual[axis], variance)
+        if s > 0.0:
+            K = a / s
+            if rolls:
+                K[6:9] -= up * np.sum(up * K[6:9])
+                K[9:12] = 0.0
+            correct(error, P, K, a, s, innovation)
+
+
+@compiled
+def _see_velocity(
+    x: Vector,
+    R: Matrix,
+    P: Matrix,
+    memory: Vector,
+    velocity: Vector,
+    variance: float,
+    rolls: bool,
+) -> None:
+    """Give the rig this velocity (3,), and note for `_learn_swing` by how much it was off."""
     error = np.zeros(15)
     before = P[3, 3] + P[4, 4] + P[5, 5]
-    _update_direct(error, P, 3, -x[3:6], np.full(3, variance), 0)
+    _see_stance(error, P, R[2].copy(), velocity - x[3:6], variance, rolls)
     memory[16:19] += error[3:6]
     memory[19] += before - P[3, 3] - P[4, 4] - P[5, 5]
     _inject(x, R, P, error)
@@ -107,7 +145,8 @@ def begin_rest(
 ) -> None:
     """Where a rest begins, use the last of what the velocity tells about the other states."""
     if resting and memory[6] == 0.0:
-        _zero_velocity(x, R, P, memory, white_equivalent(settings[3], settings[2], dt))
+        variance = white_equivalent(settings[3], settings[2], dt)
+        _see_velocity(x, R, P, memory, np.zeros(3), variance, settings[15] > 0.0)
 
 
 @compiled
@@ -142,14 +181,27 @@ def update(
         variance = force_density**2 / dt + settings[6] ** 2
         _update_gravity(error, P, R, residual, variance, gravity)
         _inject(x, R, P, error)
+    rate_n = R @ (rate - x[9:12])
+    square = np.sum(rate_n**2)
+    # The heel comes down before the sole: the rate at which a stance began counts for a while.
+    fading = memory[TURNED] * np.exp(-dt / settings[18]) if still and settings[18] > 0.0 else 0.0
+    memory[TURNED] = max(square, fading)
     if still:
-        roll = settings[15] ** 2 * np.sum((rate - x[9:12]) ** 2)
-        sigma = np.sqrt(settings[1] ** 2 + roll)
-        variance = white_equivalent(sigma, settings[2], dt)
-        if memory[7] > CONFIRMED or _credible(x, P, memory, variance):
-            _zero_velocity(x, R, P, memory, variance)
-            memory[20] = -1.0
+        _stand(x, R, P, memory, settings, dt, rate_n)
     else:
         memory[20] = max(memory[20], np.sum(x[3:6] ** 2))
         if memory[19] > 0.0 and memory[21] > SWING:
             _learn_swing(memory, settings[16])
+
+
+@compiled
+def _stand(
+    x: Vector, R: Matrix, P: Matrix, memory: Vector, settings: Vector, dt: float, rate_n: Vector
+) -> None:
+    """Correct by a stance, if it is to be believed: a foot rolls about a point below the IMU."""
+    sigma = np.sqrt(settings[1] ** 2 + settings[15] ** 2 * memory[TURNED])
+    variance = white_equivalent(sigma, settings[2], dt)
+    if memory[7] > CONFIRMED or _credible(x, P, memory, variance):
+        velocity = settings[17] * np.array([rate_n[1], -rate_n[0], 0.0])
+        _see_velocity(x, R, P, memory, velocity, variance, settings[15] > 0.0)
+        memory[20] = -1.0

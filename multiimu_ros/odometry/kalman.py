@@ -35,6 +35,22 @@ def scalar_update(
     first, last : int
         The states that the measurement may correct, `last` excluded.
     """
+    a, s, innovation = innovate(error, P, h, residual, variance)
+    if s > 0.0:
+        K = a / s
+        K[:first] = 0.0
+        K[last:] = 0.0
+        correct(error, P, K, a, s, innovation)
+
+
+@compiled
+def innovate(
+    error: Vector, P: Matrix, h: Vector, residual: float, variance: float
+) -> tuple[Vector, float, float]:
+    """Return P h (n,), the innovation's variance and the innovation of a scalar measurement.
+
+    The variance is 0 where a number is none that could be used: a NaN must not reach the state.
+    """
     n = len(error)
     a = np.zeros(n)
     innovation, s = residual, variance
@@ -45,12 +61,15 @@ def scalar_update(
                 a[i] += P[i, j] * h[j]
     for j in range(n):
         s += h[j] * a[j]
-    if not (s > 0.0 and np.isfinite(s) and np.isfinite(innovation)):
-        return  # a NaN must not reach the state
-    K = a / s
-    K[:first] = 0.0
-    K[last:] = 0.0
-    for i in range(first, last):
+    usable = s > 0.0 and np.isfinite(s) and np.isfinite(innovation)
+    return a, s if usable else 0.0, innovation
+
+
+@compiled
+def correct(error: Vector, P: Matrix, K: Vector, a: Vector, s: float, innovation: float) -> None:
+    """Correct error and P by whatever gain K (n,), with what `innovate` returned."""
+    n = len(error)
+    for i in range(n):
         error[i] += K[i] * innovation
     for i in range(n):
         for j in range(i + 1):

@@ -31,6 +31,8 @@ class Profile:
     zero_velocity_sigma: float
     zero_velocity_time: float
     rolling_arm: float
+    rolling_height: float
+    settling_time: float
     motion_sigma: float
     motion_reach: float
     motion_velocity_sigma: float
@@ -50,10 +52,13 @@ FOOT = Profile(
     window_s=0.025,  # 5 samples at 200 Hz, the published window; a stance lasts 0.3 s
     resting_s=1.0,  # longer than any stance of a walk
     # The ankle of a standing leg goes on by millimetres in a second; what is faster turns the
-    # foot about heel or ball, at `rolling_arm` from the instep, and soon turns back.
+    # foot about heel or ball, at `rolling_arm` from the instep, and soon turns back.  Feet of the
+    # PyShoe trials roll as if the IMU were 0.12 m above the ground, others lower.
     zero_velocity_sigma=0.003,
     zero_velocity_time=0.02,
-    rolling_arm=0.2,
+    rolling_arm=0.15,
+    rolling_height=0.04,
+    settling_time=0.03,
     motion_sigma=5.0,  # rms of a swing phase
     motion_reach=0.4,  # within a stride of 1.4 m
     motion_velocity_sigma=1.5,  # mean over a stride of a walk at 1.4 m/s
@@ -75,6 +80,8 @@ HAND = Profile(
     zero_velocity_sigma=0.005,  # a table that is touched moves by less
     zero_velocity_time=0.05,
     rolling_arm=0.0,  # it does not roll
+    rolling_height=0.0,
+    settling_time=0.0,
     motion_sigma=0.5,  # slow handling; fast handling is seen in | |f| - g |
     motion_reach=0.1,  # an arm sways by a decimetre or two
     motion_velocity_sigma=0.5,
@@ -94,6 +101,8 @@ VEHICLE = Profile(
     zero_velocity_sigma=0.02,  # a body that settles on its springs
     zero_velocity_time=0.2,
     rolling_arm=0.0,
+    rolling_height=0.0,
+    settling_time=0.0,
     motion_sigma=1.0,  # braking and turning, most of it level and unseen in | |f| - g |
     motion_reach=100.0,  # 10 m/s that end after 10 s
     motion_velocity_sigma=10.0,
@@ -167,6 +176,8 @@ def odometry_configs(
         zero_velocity_sigma=profile.zero_velocity_sigma,
         zero_velocity_time=profile.zero_velocity_time,
         rolling_arm=profile.rolling_arm,
+        rolling_height=profile.rolling_height,
+        settling_time=profile.settling_time,
         motion_sigma=profile.motion_sigma,
         motion_velocity_sigma=profile.motion_velocity_sigma,
         rate_scale_sigma=profile.rate_scale_sigma,

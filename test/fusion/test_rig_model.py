@@ -8,6 +8,7 @@ from multiimu_ros.fusion.rig_model import (
     bare_model,
     bias_walk_density,
     LEAST_DELAY_SIGMA,
+    level_bias_variance,
     lever_arm_variance,
     NOMINAL_ANGLE_SIGMA,
     NOMINAL_DELAY_SIGMA,
@@ -27,6 +28,7 @@ from multiimu_ros.rig import (
     Rig,
     RigFrame,
     Triad,
+    ZERO,
 )
 
 QUARTER_TURN = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))  # about z: sensor x is base y
@@ -63,6 +65,21 @@ def test_variances_turn_with_the_mounting():
     assert_allclose(model.bias_variance[0], [4.0, 1.0, 9.0, 0.04, 0.01, 0.09], rtol=1e-12)
     assert_allclose(np.diag(model.scale_variance[0])[3:], [4e-6, 1e-6, 9e-6], rtol=1e-12)
     assert_allclose(model.scale_variance[0, 1, 0], 0.25, rtol=1e-9)  # x on y, turned: y on x
+
+
+def test_what_gravity_makes_of_the_g_sensitivity_counts_as_bias_of_a_level_rig():
+    leak = ((0.0, 0.0, 3e-4), (0.0, 0.0, 0.0), (0.0, 0.0, 3e-4))
+    gyroscope = GyroscopeTriad(bias_sigma=(1e-3,) * 3, g_sensitivity_sigma=leak)
+    noise = Noise(
+        noise_density=NOMINAL_NOISE.noise_density,
+        bias_instability=PerTriad(accelerometer=ZERO, gyroscope=ZERO),
+    )
+    intrinsics = Intrinsics(gyroscope=gyroscope)
+    model = rig_model(rig_of(Imu(name='i', frame_id='a', noise=noise, intrinsics=intrinsics)))
+    variance = level_bias_variance(model, 10.0)
+    # Which of the three axes is up is not known: a third of (3e-4 * 10)^2.
+    assert_allclose(variance[0, :3], [4e-6, 1e-6, 4e-6], rtol=1e-9)
+    assert_allclose(variance[0, 3:], model.bias_variance[0, 3:], rtol=0)
 
 
 def test_the_mean_of_n_independent_walks_is_root_n_slower():

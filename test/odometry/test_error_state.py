@@ -128,6 +128,60 @@ def test_a_swing_that_looks_still_for_a_moment_is_not_believed():
     assert abs(odometry.velocity_n[0]) < 0.1
 
 
+def rocking(seconds, height, rate_hz=200):
+    """Return rates and forces (N, 3) of a rig that rocks by 0.1 rad about a point below it."""
+    t = np.arange(round(seconds * rate_hz)) / rate_hz
+    turn = 2 * np.pi * 1.0
+    pitch, rate = 0.1 * (1 - np.cos(turn * t)), 0.1 * turn * np.sin(turn * t)
+    slope = 0.1 * turn**2 * np.cos(turn * t)  # of the rate
+    # In the body frame the rig is at [0, 0, height] from the point: a = dw x r + w x (w x r).
+    acceleration = np.stack([slope * height, 0 * t, -(rate**2) * height], axis=1)
+    up = np.stack([-np.sin(pitch), 0 * t, np.cos(pitch)], axis=1)
+    return np.stack([0 * t, rate, 0 * t], axis=1), acceleration + G * up
+
+
+def rock(rolling_height, seconds):
+    """Return what a filter with such a height makes of a rig that rocks 0.1 m above a point."""
+    _, _, odometry = filters('foot')
+    odometry = ErrorStateFilter(replace(odometry._config, rolling_height=rolling_height))
+    for w, f in zip(*rocking(seconds, 0.1), strict=True):
+        odometry.push(Sample(0.005, w, f, *DENSITIES, True, False))
+    return odometry
+
+
+def test_a_stance_that_rolls_moves_with_the_foot():
+    # After half a turn the rig has rocked by 0.2 rad, 0.1 m above the ground.
+    flat, rolling = (rock(height, 0.5).position_n[0] for height in (0.0, 0.1))
+    truth = 0.1 * np.sin(0.2)
+    assert abs(rolling - truth) < 0.1 * truth
+    assert abs(flat - truth) > 0.3 * truth
+
+
+def test_a_stance_that_rolls_tells_neither_gyro_bias_nor_yaw(rng):
+    odometry = rock(0.04, 0.5)
+    _, _, before = filters('foot')
+    yaw = np.arctan2(odometry.R_nb[1, 0], odometry.R_nb[0, 0])
+    # It only turned about y: yaw would come of corrections alone, bias as well.
+    assert abs(yaw) < 1e-9
+    assert not odometry.gyro_bias.any()
+    assert_allclose(odometry.P[9:12, 9:12], before.P[9:12, 9:12], rtol=1e-3)
+
+
+def test_the_rate_at_which_a_stance_began_counts_against_it():
+    def velocity_sigma(settling_time):
+        _, _, odometry = filters('foot')
+        odometry = ErrorStateFilter(replace(odometry._config, settling_time=settling_time))
+        odometry.push(Sample(0.005, np.zeros(3), UP, *DENSITIES, False, False))
+        odometry.push(Sample(0.005, np.array([0.0, 2.0, 0.0]), UP, *DENSITIES, False, False))
+        for _ in range(4):
+            odometry.push(Sample(0.005, np.zeros(3), UP, *DENSITIES, True, False))
+        return np.sqrt(odometry.P[5, 5])
+
+    at_once, settled = velocity_sigma(0.0), velocity_sigma(0.03)
+    # 0.15 m times 2 rad/s, less what 20 ms forget, over what 3 mm/s of a foot at rest leave.
+    assert settled > 10 * at_once
+
+
 def stride_variance(error, strides=4):
     """Return the variance of a velocity after `strides` whose swings are misread by `error`."""
     _, _, odometry = filters('foot')
