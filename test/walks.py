@@ -17,6 +17,9 @@ from multiimu_ros.odometry.rest import RestBuffer, Sample
 from multiimu_ros.odometry.zero_velocity import StillnessDetector
 
 Z_DOWN = np.array([1.0, -1.0, -1.0])  # turns a frame whose z axis points down about x
+# The Vicon positions of pyshoe are in x and y of such a frame, but their z points up: feet that
+# rise read positive.
+Y_FLIPPED = np.array([1.0, -1.0, 1.0])
 PYSHOE_TRIALS = 14
 SHOE_LABELS = 'zv_shoe_opt'
 
@@ -73,7 +76,7 @@ def pyshoe_vicon():
         trial = loadmat(path)
         force, rate = trial['imu'][:, :3] * Z_DOWN, trial['imu'][:, 3:] * Z_DOWN
         still = trial[SHOE_LABELS].ravel().astype(bool)
-        stamps, truth = trial['ts'].ravel(), trial['gt'] * Z_DOWN
+        stamps, truth = trial['ts'].ravel(), trial['gt'] * Y_FLIPPED
         recordings.append(
             Recording(path.stem, GX3, stamps, rate, force, truth=truth, labels=still)
         )
