@@ -43,7 +43,8 @@ firmware-tools:  ## the toolchain of the firmware's tests, where apt-get may be 
 		$(FIRMWARE_TOOLS) >/dev/null; } || \
 	echo 'The tests of the firmware will be skipped: apt-get install $(FIRMWARE_TOOLS)'
 
-test: firmware-tools static kernels  ## everything: linters, types, imports, all tests with branch coverage
+test: firmware-tools  ## everything: linters, types, imports, all tests with branch coverage
+	@$(MAKE) --no-print-directory -j 2 -O static kernels
 	@rm -f .coverage
 	@echo '== 1/3 core, compiled, two at a time'
 	$(COVERED) -n 2 --dist worksteal -m 'not ros'

@@ -25,6 +25,7 @@ from multiimu_ros.simulation.trajectories import trajectory
 pytestmark = pytest.mark.slow  # where nothing is compiled
 
 RATE_HZ = 200.0
+MOVING = 9.0  # [s] the least that a hand moves in: the second half of it
 SETTLED = 600  # scans: alignment and the rest before the first motion
 LIMIT = 8.7  # [rad/s] 500 deg/s
 
@@ -77,7 +78,7 @@ def rms(error):
 
 @cache
 def error_of_the_default():
-    path, simulated, rig = recording(row, 3, duration=7.0)
+    path, simulated, rig = recording(row, 3, duration=MOVING)
     rate, force, *_ = errors(path, simulated, run(rig, simulated.raw)[1])
     return rms(rate[100:]), rms(force[100:])
 
@@ -94,7 +95,7 @@ PRINTED = np.inf
 @pytest.mark.parametrize('master', get_args(Master))
 @pytest.mark.parametrize('local', get_args(Local))
 def test_every_filter_runs_through_the_chain_and_is_as_good_as_theory_says(local, master):
-    path, simulated, rig = recording(row, 3, duration=7.0)
+    path, simulated, rig = recording(row, 3, duration=MOVING)
     _, frames = run(rig, simulated.raw, local=local, master=master)
     assert len(frames) == len(simulated.raw[0])
     assert np.isfinite(stacked(frames, 'record')).all()
@@ -106,7 +107,7 @@ def test_every_filter_runs_through_the_chain_and_is_as_good_as_theory_says(local
 
 @pytest.mark.parametrize('reset', get_args(Reset))
 def test_every_reset_runs_with_a_fusion_every_ten_scans(reset):
-    path, simulated, rig = recording(row, 3, duration=7.0)
+    path, simulated, rig = recording(row, 3, duration=MOVING)
     _, frames = run(rig, simulated.raw, reset=reset, fuse_every=10)
     assert np.isfinite(stacked(frames, 'record')).all()
     rate, force, *_ = errors(path, simulated, frames)
@@ -120,7 +121,7 @@ def test_every_reset_runs_with_a_fusion_every_ten_scans(reset):
     'settings', [{}, {'local': 'ukf', 'master': 'centralised'}, {'master': 'scaat'}]
 )
 def test_a_block_gives_bit_for_bit_the_frames_of_single_pushes(settings):
-    _, simulated, rig = recording(row, 3, duration=6.0)
+    _, simulated, rig = recording(row, 3, duration=MOVING)
     _, frames = run(rig, simulated.raw, **settings)
     pipeline = Pipeline(rig, PipelineConfig(**settings))
     one_by_one = zip(*(column.tolist() for column in block_of(simulated.raw)), strict=True)
