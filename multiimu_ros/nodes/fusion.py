@@ -21,6 +21,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu
 from std_srvs.srv import SetBool, Trigger
 
+from multiimu_ros.arrays import Vector
 from multiimu_ros.errors import ConfigError, MultiImuError
 from multiimu_ros.fused_frame import FusedFrame
 from multiimu_ros.nodes import convert
@@ -84,7 +85,7 @@ class FusionNode(Node):
         with explained(self.get_logger().info):
             warm_up(Pipeline(self.rig, config), len(self.rig.imus))
         self.pipeline = Pipeline(self.rig, config)
-        self._declare_outputs(self._declare_frame(config))
+        self._declare_outputs(self._declare_frame(config), np.array(config.virtual_imu))
         self._serve()
         self.kept_state = KeptState(self, self.pipeline)
         self.not_finite = 0
@@ -108,15 +109,16 @@ class FusionNode(Node):
         name = declare(self, 'virtual_imu_frame', '', words)
         return fused_frame_id(self.rig.rig.base_frame, config.virtual_imu, name)
 
-    def _declare_outputs(self, base_frame: str) -> None:
+    def _declare_outputs(self, fused_frame: str, point_b: Vector) -> None:
         odom_frame = declare(self, 'odom_frame', 'odom', 'frame that the odometry starts in')
-        self._imu_encoder = convert.StampedEncoder(base_frame)
-        self._odometry_encoder = convert.StampedEncoder(odom_frame, base_frame)
+        self._imu_encoder = convert.StampedEncoder(fused_frame)
+        self._odometry_encoder = convert.StampedEncoder(odom_frame, fused_frame)
         self._imu = Output(self, Imu, 'imu/data')
         self._odometry = Output(self, Odometry, 'odom')
         self._zero_velocity = Output(self, TwistWithCovarianceStamped, 'zero_velocity')
         publish_tf = declare(self, 'publish_tf', False, 'publish the transform odom -> base')
-        self._transform = TransformOutput(self, odom_frame, base_frame) if publish_tf else None
+        frames = odom_frame, self.rig.rig.base_frame
+        self._transform = TransformOutput(self, *frames, point_b) if publish_tf else None
 
     def _serve(self) -> None:
         self.create_service(Trigger, '~/reset', self._on_reset)

@@ -63,7 +63,7 @@ def broadcast(monkeypatch):
 
 
 def test_what_is_broadcast_is_the_pose_that_odom_says(broadcast, rng):
-    output = TransformOutput('node', 'odom', 'base_link')
+    output = TransformOutput('node', 'odom', 'base_link', np.zeros(3))
     frames = [
         FusedFrame(10**18 + k, False, False, np.ones(1), rng.standard_normal(SIZE))
         for k in (0, 999_999_999)
@@ -78,16 +78,25 @@ def test_what_is_broadcast_is_the_pose_that_odom_says(broadcast, rng):
         assert numbers == convert.odometry_numbers(frame)[:7].tolist()
 
 
+def test_the_base_frame_is_broadcast_though_the_odometry_follows_another_point(broadcast, rng):
+    record = rng.standard_normal(SIZE)
+    turned = Rotation.random(rng=rng)
+    frame = FusedFrame(10**18, False, False, np.ones(1), record)
+    frame.odom_orientation[:] = turned.as_quat()
+    TransformOutput('node', 'odom', 'base_link', np.array(LEVER)).send(frame)
+    assert_same(broadcast[0], frame.position_n - turned.apply(LEVER), turned, atol=1e-12)
+
+
 def test_without_tf2_ros_one_sentence_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, 'tf2_ros', None)  # the import fails, installed or not
     said = r'^`publish_tf` needs tf2_ros \(.*tf2_ros.*\); install ros-jazzy-tf2-ros-py\.$'
     with pytest.raises(ConfigError, match=said):
-        TransformOutput('node', 'odom', 'base_link')
+        TransformOutput('node', 'odom', 'base_link', np.zeros(3))
 
 
 @pytest.fixture(params=[{}, VIRTUAL], ids=['base', 'virtual'])
 def walk(request, tmp_path):
-    """Play a walk; return the odometry and a tf2_ros.Buffer that listened, and the child frame."""
+    """Play a walk; return odometry, the point it follows, and a tf2_ros.Buffer that listened."""
     tf2_ros = pytest.importorskip('tf2_ros', reason='tf2_ros comes with ROS 2, not from PyPI')
     scans = write_walk(tmp_path, SECONDS, RATE_HZ)
     told = {'rig_file': tmp_path / 'rig.yaml', 'profile': 'foot', 'publish_tf': 'true'}
@@ -109,7 +118,7 @@ def walk(request, tmp_path):
         listener.unregister()
         assert process.end()[0] == 0
     assert len(heard) > scans - 5
-    return heard, buffer, request.param.get('virtual_imu_frame', 'base_link')
+    return heard, np.array(LEVER if request.param else [0.0] * 3), buffer
 
 
 def between(before, after):
@@ -123,26 +132,25 @@ def between(before, after):
 
 
 @pytest.mark.slow
-def test_tf2_looks_up_the_pose_that_odom_says(walk):
-    heard, buffer, child = walk
+def test_tf2_looks_up_the_base_frame_of_what_odom_says(walk):
+    heard, lever, buffer = walk
+    followed = 'toe' if lever.any() else 'base_link'
+    if lever.any():  # as the description of a robot would have it
+        static = TransformStamped(child_frame_id=followed)
+        static.header.frame_id, t = 'base_link', static.transform.translation
+        t.x, t.y, t.z = lever.tolist()
+        buffer.set_transform_static(static, 'test')
     assert max(np.linalg.norm(pose(message)[0]) for message in heard) > 0.5  # it walked
     for message in heard:
-        found = buffer.lookup_transform('odom', child, Time.from_msg(message.header.stamp))
+        stamp, (position, rotation) = Time.from_msg(message.header.stamp), pose(message)
+        found = buffer.lookup_transform('odom', 'base_link', stamp)
         assert found.header == message.header
-        assert found.child_frame_id == message.child_frame_id == child
-        assert_same(found, *pose(message))
+        assert message.child_frame_id == followed
+        assert_same(found, position - rotation.apply(lever), rotation)
+        assert_same(buffer.lookup_transform('odom', followed, stamp), position, rotation)
+    if lever.any():
+        return
     for pair in pairwise(heard):
         middle_ns, position, rotation = between(*pair)
-        found = buffer.lookup_transform('odom', child, Time(nanoseconds=middle_ns))
+        found = buffer.lookup_transform('odom', 'base_link', Time(nanoseconds=middle_ns))
         assert_same(found, position, rotation)
-    if child == 'base_link':
-        return
-    # What docs/odometry.md tells those who want the base frame too.
-    static = TransformStamped(child_frame_id='base_link')
-    static.header.frame_id, t = child, static.transform.translation
-    t.x, t.y, t.z = (-x for x in LEVER)
-    buffer.set_transform_static(static, 'test')
-    position, rotation = pose(heard[-1])
-    stamp = Time.from_msg(heard[-1].header.stamp)
-    found = buffer.lookup_transform('odom', 'base_link', stamp)
-    assert_same(found, position - rotation.apply(LEVER), rotation)
