@@ -8,9 +8,6 @@ what a data sheet promises, not what a calibration found.  Every estimate `key` 
 
 from collections.abc import Sequence
 import os
-from pathlib import Path
-import shutil
-import tempfile
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -20,7 +17,7 @@ import yaml
 
 from multiimu_ros.arrays import Matrix, Vector
 from multiimu_ros.errors import ConfigError
-from multiimu_ros.sheet import load_sheet, parse_sheet
+from multiimu_ros.sheet import load_sheet, parse_sheet, write_sheet
 
 MAX_IMUS = 16
 
@@ -261,24 +258,6 @@ def save_rig(rig: Rig, path: str | os.PathLike[str]) -> None:
     ConfigError
         If the file cannot be written; it stays as it was then.
     """
-    target = Path(path)
     content = rig.model_dump(mode='json', exclude_none=True)
     text = yaml.dump(content, Dumper=_RigDumper, sort_keys=False, allow_unicode=True, width=99)
-    draft, keep = Path(), target.with_name(f'{target.name}.old')
-    try:
-        with tempfile.NamedTemporaryFile(
-            'w', encoding='utf-8', dir=target.parent, prefix=f'.{target.name}.', delete=False
-        ) as file:
-            draft = Path(file.name)
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        draft.chmod(0o644)  # NamedTemporaryFile makes it private to its owner
-        if target.exists():
-            shutil.copy2(target, keep)
-        draft.replace(target)
-    except OSError as error:
-        if draft.name:
-            draft.unlink(missing_ok=True)
-        msg = f'Cannot write the rig file `{path}`: {error.strerror}; choose a writable place.'
-        raise ConfigError(msg) from error
+    write_sheet(text, path, 'rig', keep_old=True)

@@ -1,8 +1,10 @@
-"""Files that a person writes in YAML: read, validated, and refused with the path of the key."""
+"""Files that people and nodes keep: read, validated, refused with the path of the key, written."""
 
 from collections.abc import Sequence
 import os
 from pathlib import Path
+import shutil
+import tempfile
 from typing import TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -49,6 +51,45 @@ def parse_sheet(content: object, model: type[Sheet], source: str) -> Sheet:
         reason = first['msg'].removeprefix('Value error, ')
         got = '' if first['type'] in TOLD else f', got {first["input"]!r}'
         msg = f'{source}: `{_key_path(first["loc"])}`: {reason}{got[:LONGEST]}.'
+        raise ConfigError(msg) from error
+
+
+def write_sheet(
+    text: str, path: str | os.PathLike[str], kind: str, *, keep_old: bool = False
+) -> None:
+    """Write a file at once or not at all: whoever reads it meets the old or the new text.
+
+    Parameters
+    ----------
+    text, path : str, path
+        What, and where.
+    kind : str
+        What the file is, for the error.
+    keep_old : bool
+        Whether a file that was there survives as `<path>.old`.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be written; it stays as it was then.
+    """
+    target, draft = Path(path), Path()
+    try:
+        with tempfile.NamedTemporaryFile(
+            'w', encoding='utf-8', dir=target.parent, prefix=f'.{target.name}.', delete=False
+        ) as file:
+            draft = Path(file.name)
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        draft.chmod(0o644)  # NamedTemporaryFile makes it private to its owner
+        if keep_old and target.exists():
+            shutil.copy2(target, target.with_name(f'{target.name}.old'))
+        draft.replace(target)
+    except OSError as error:
+        if draft.name:
+            draft.unlink(missing_ok=True)
+        msg = f'Cannot write the {kind} file `{path}`: {error.strerror}; choose a writable place.'
         raise ConfigError(msg) from error
 
 

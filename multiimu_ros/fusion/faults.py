@@ -58,7 +58,7 @@ from multiimu_ros.fusion.leave_one_out import (
     voters_mean,
 )
 
-__all__ = ['GUARD_COLUMNS', 'FaultState', 'fault_states', 'guard_state', 'is_excluded', 'judge']
+__all__ = ['GUARD_COLUMNS', 'FaultState', 'fault_states', 'guard_state', 'judge']
 
 RAMP = 0.25  # [s] in which the share of a returned IMU grows to all of it
 LEAST_STEP = 1e-5  # [s] two scans with one stamp are still two readings
@@ -240,9 +240,3 @@ def _pass_time(guard: Vectors, dt: float) -> None:
         row[CALM_S] = row[CALM_S] + dt if calm else 0.0
         if row[CALM_S] >= row[HOLD_S]:
             readmit(guard, i)
-
-
-@compiled
-def is_excluded(guard: Vectors, i: int) -> bool:
-    """Say whether IMU i is excluded at present."""
-    return bool(guard[i, EXCLUDED] == 1.0)

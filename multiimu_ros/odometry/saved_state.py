@@ -14,7 +14,6 @@ import hashlib
 import json
 import os
 from pathlib import Path
-import tempfile
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -28,7 +27,7 @@ from multiimu_ros.odometry.attitude_baseline import BaselineAttitude
 from multiimu_ros.odometry.error_state import ErrorStateConfig, ErrorStateFilter
 from multiimu_ros.rig import Rig, Triple
 from multiimu_ros.rotations import product
-from multiimu_ros.sheet import parse_sheet
+from multiimu_ros.sheet import parse_sheet, write_sheet
 
 TURNING = 0.35  # [rad/sqrt(s)] a walker turns a corner of 90 deg every 20 s
 ANY_HEADING = np.pi / np.sqrt(3.0)  # [rad] deviation of a heading that may be any
@@ -152,22 +151,7 @@ def save_state(state: SavedState, path: str | os.PathLike[str]) -> None:
     ConfigError
         If the file cannot be written; it stays as it was then.
     """
-    target, draft = Path(path), Path()
-    try:
-        with tempfile.NamedTemporaryFile(
-            'w', encoding='utf-8', dir=target.parent, prefix=f'.{target.name}.', delete=False
-        ) as file:
-            draft = Path(file.name)
-            file.write(state.model_dump_json(indent=1))
-            file.flush()
-            os.fsync(file.fileno())
-        draft.chmod(0o644)  # NamedTemporaryFile makes it private to its owner
-        draft.replace(target)
-    except OSError as error:
-        if draft.name:
-            draft.unlink(missing_ok=True)
-        msg = f'Cannot write the state file `{path}`: {error.strerror}; choose a writable place.'
-        raise ConfigError(msg) from error
+    write_sheet(state.model_dump_json(indent=1), path, 'state')
 
 
 def load_state(
