@@ -6,9 +6,16 @@ import time
 from nav_msgs.msg import Odometry
 import numpy as np
 import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.parameter import Parameter
 from ros_helpers import imu_message, node_process, ros_peer
 from std_srvs.srv import Trigger
 import yaml
+
+from multiimu_ros.nodes import kept_state
+from multiimu_ros.pipeline import Pipeline, PipelineConfig
+from multiimu_ros.rig import load_rig
 
 pytestmark = pytest.mark.ros
 
@@ -75,3 +82,42 @@ def test_a_damaged_state_is_told_and_the_node_starts_anew(rig_file, tmp_path, rn
     assert code == 0
     assert 'Starting anew' in said
     assert 'damaged' in said
+
+
+@pytest.fixture
+def keeper(rig_file, tmp_path, monkeypatch):
+    """Spin a node that keeps the state of a pipeline every 0.1 s; yields how, and the file."""
+    monkeypatch.setattr(kept_state, 'SAVE_EVERY', 0.1)
+    file = tmp_path / 'states' / 'state.json'
+    pipeline = Pipeline(load_rig(rig_file), PipelineConfig())
+    for k in range(100):
+        pipeline.push(0, time.time_ns() + k * 10**7, [1e-3 * (k % 2), *AT_REST[1:]])
+    rclpy.init()
+    chosen = [Parameter('state_file', value=str(file))]
+    node = rclpy.create_node('keeper', parameter_overrides=chosen)
+    kept_state.KeptState(node, pipeline)
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def spin(seconds):
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            executor.spin_once(timeout_sec=left)
+
+    yield spin, file
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def test_the_state_is_written_now_and_then_and_a_full_disk_is_told_once(keeper, capfd):
+    spin, file = keeper
+    spin(0.55)
+    assert capfd.readouterr().err.count('Cannot write the state file') == 1
+    file.parent.mkdir()
+    spin(0.35)
+    written = json.loads(file.read_text())
+    np.testing.assert_allclose(written['position_n'], [0.0, 0.0, 0.0], atol=1e-3)
+    file.parent.rename(file.parent.with_name('gone'))
+    spin(0.35)
+    assert capfd.readouterr().err.count('Cannot write the state file') == 1
