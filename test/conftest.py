@@ -40,11 +40,3 @@ def pytest_runtest_makereport(item, call):
         report.outcome = 'failed'
         report.longrepr = f'{item.nodeid} was skipped, but MULTIIMU_REQUIRE_DATA=1 asks for it.'
     return report
-
-
-def pytest_collection_modifyitems(config, items):
-    """Let coverage look away from slow tests: a quarter faster, and the others run the lines."""
-    if config.pluginmanager.hasplugin('pytest_cov'):
-        for item in items:
-            if item.get_closest_marker('slow'):
-                item.add_marker('no_cover')

@@ -7,7 +7,7 @@ g-sensitivity; here are the first clean two of the same seeds, for time.
 from loop_trials import moved_while_standing, summary, trial
 import pytest
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.no_cover]
 
 SEEDS = range(2)
 

@@ -68,6 +68,7 @@ def scores(seed):
 
 
 @pytest.mark.slow
+@pytest.mark.no_cover
 def test_every_covariance_is_true():
     table = [scores(seed) for seed in range(20)]
     mean = {name: np.mean([row[name] for row in table]) for name in table[0]}

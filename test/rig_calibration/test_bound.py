@@ -25,7 +25,7 @@ from multiimu_ros.simulation.motion import STANDARD_GRAVITY, Trajectory
 from multiimu_ros.simulation.recording import simulate
 from multiimu_ros.simulation.trajectories import calibration_path
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.no_cover]
 SEEDS, POSES, REST_S, POSE_S, MOVE_S, RATE = 24, 60, 10.0, 4.0, 3.0, 200.0
 DURATION = REST_S + POSES * (POSE_S + MOVE_S) + 1.0
 GROUPS = {
