@@ -13,6 +13,7 @@ import time
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 import numpy as np
 
+from multiimu_ros.arrays import Vector
 from multiimu_ros.fusion.array_fusion import ArrayFusion
 from multiimu_ros.fusion.rig_model import rig_model
 from multiimu_ros.pipeline import Pipeline, PipelineConfig
@@ -46,7 +47,7 @@ def rows() -> list[dict[str, object]]:
     for count in COUNTS:
         recording = simulate(ring(count), trajectory('hand', SECONDS), RATE)
         rig = calibrated_rig(recording.rig)
-        readings = list(in_order(recording.raw))
+        readings = one_by_one(recording)
 
         def whole(rig=rig, readings=readings) -> int:
             pipeline = Pipeline(rig, PipelineConfig())
@@ -78,10 +79,14 @@ def rows() -> list[dict[str, object]]:
     return result
 
 
+def one_by_one(recording: SimulatedRecording) -> list[tuple[int, int, Vector]]:
+    imus, stamps, values = in_order(recording.raw)
+    return list(zip(imus.tolist(), stamps.tolist(), values, strict=True))
+
+
 def scans_of(recording: SimulatedRecording) -> list[Scan]:
     synchronizer = Synchronizer(len(recording.raw), SyncConfig())
-    readings = in_order(recording.raw)
-    return [scan for reading in readings for scan in synchronizer.push(*reading)]
+    return [scan for reading in one_by_one(recording) for scan in synchronizer.push(*reading)]
 
 
 def ukf_mean(count: int, scans: list[Scan]) -> int:

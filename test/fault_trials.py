@@ -181,7 +181,7 @@ def onset(case: Case, raw: Sequence[ImuSamples]) -> float:
 def run(case: Case, raw: Sequence[ImuSamples], *, guard: bool = True) -> Run:
     """Send readings through the chain."""
     pipeline = Pipeline(case.rig, PipelineConfig(profile=case.profile, guard=guard))
-    frames = [frame for reading in in_order(raw) for frame in pipeline.push(*reading)]
+    frames = list(pipeline.push_block(*in_order(raw)))
     begin = case.raw[0].stamp_ns[0]
     return Run(
         np.array([frame.stamp_ns - begin for frame in frames]) / NANOSECONDS,

@@ -4,7 +4,7 @@ A single IMU and the plain mean go through the very same `Pipeline` as the array
 one IMU, so that a comparison shows what the number of IMUs is worth and nothing else.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -101,21 +101,21 @@ def as_track(frames: Sequence[FusedFrame]) -> Track:
     )
 
 
-def in_order(recording: Sequence[ImuSamples]) -> Iterable[tuple[int, int, Vectors]]:
-    """Yield (IMU, stamp [ns], six values) of K recordings, oldest first."""
+def in_order(recording: Sequence[ImuSamples]) -> tuple[Stamps, Stamps, Vectors]:
+    """Return IMU (N,), stamp (N,) [ns] and six values (N, 6) of K recordings, oldest first."""
     stamps = np.concatenate([samples.stamp_ns for samples in recording])
     imus = np.repeat(np.arange(len(recording)), [len(samples) for samples in recording])
     values = np.concatenate(
         [np.hstack([samples.angular_rate, samples.specific_force]) for samples in recording]
     )
     order = np.argsort(stamps, kind='stable')
-    return zip(imus[order].tolist(), stamps[order].tolist(), values[order], strict=True)
+    return imus[order], stamps[order], values[order]
 
 
 def fused_track(rig: Rig, raw: Sequence[ImuSamples], config: PipelineConfig) -> Track:
     """Run the readings of K IMUs, as `config.input` says they are, through the pipeline."""
     pipeline = Pipeline(rig, config)
-    return as_track([frame for reading in in_order(raw) for frame in pipeline.push(*reading)])
+    return as_track(list(pipeline.push_block(*in_order(raw))))
 
 
 def alone(rig: Rig, k: int) -> Rig:

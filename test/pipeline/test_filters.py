@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import cache
 from typing import get_args
 
-from blocks import block_of, frames_of
+from blocks import frames_of
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -13,6 +13,7 @@ from multiimu_ros.fusion.local_filters import Local
 from multiimu_ros.fusion.masters import Master, Reset
 from multiimu_ros.fusion.prefilters import ScanPrefilter
 from multiimu_ros.pipeline import Pipeline, PipelineConfig
+from multiimu_ros.report.tracks import in_order
 from multiimu_ros.rig import Range
 from multiimu_ros.simulation.calibrated import calibrated_rig
 from multiimu_ros.simulation.errors import BMI160
@@ -124,7 +125,7 @@ def test_a_block_gives_bit_for_bit_the_frames_of_single_pushes(settings):
     _, simulated, rig = recording(row, 3, duration=MOVING)
     _, frames = run(rig, simulated.raw, **settings)
     pipeline = Pipeline(rig, PipelineConfig(**settings))
-    one_by_one = zip(*(column.tolist() for column in block_of(simulated.raw)), strict=True)
+    one_by_one = zip(*(column.tolist() for column in in_order(simulated.raw)), strict=True)
     pushed = [frame for reading in one_by_one for frame in pipeline.push(*reading)]
     assert np.array_equal(stacked(frames, 'record'), stacked(pushed, 'record'))
     again = run(rig, simulated.raw, **settings)[1]

@@ -44,7 +44,8 @@ def test_one_imu_alone_keeps_its_own_calibration():
 
 def test_readings_come_in_the_order_of_their_stamps():
     order = tracks.in_order([samples([3, 5], 0.0), samples([1, 4], 1.0)])
-    assert [(imu, stamp) for imu, stamp, _ in order] == [(1, 1), (0, 3), (1, 4), (0, 5)]
+    imus, stamps, _ = order
+    assert list(zip(imus, stamps, strict=True)) == [(1, 1), (0, 3), (1, 4), (0, 5)]
 
 
 def test_a_track_is_cut_to_a_span():

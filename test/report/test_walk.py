@@ -22,7 +22,7 @@ from multiimu_ros.report.walk import as_walk, smoothed_walk, sound, WalkRecorder
 def frames():
     run, rig, _ = recording()
     pipeline = Pipeline(rig, PipelineConfig(profile='hand'))
-    return [frame for reading in in_order(run.raw) for frame in pipeline.push(*reading)]
+    return list(pipeline.push_block(*in_order(run.raw)))
 
 
 def test_a_walk_is_what_the_odometry_said():
