@@ -16,7 +16,13 @@ from multiimu_ros.nodes.convert import decode_imu
 from multiimu_ros.nodes.run import run
 
 PERIOD_S = 0.25
-JOINED = ('registration', 'fusion')  # calibration waits for topics that open with the port
+# Both ends of each hop, for one may know of the other first; the raw topics open with the port.
+JOINED = (
+    ('calibration', 'subscribers'),
+    ('registration', 'publishers'),
+    ('registration', 'subscribers'),
+    ('fusion', 'publishers'),
+)
 
 
 class MonitorNode(Node):
@@ -62,8 +68,11 @@ class MonitorNode(Node):
         imus = [f'imu{k}' for k in range(self._count)]
         # The raw topics have two listeners: calibration and the recorder.
         heard = all(self.count_subscribers(f'{imu}/data_raw') > 1 for imu in imus)
-        ends = [self._figures.get(f'{node}: {imu}', {}) for node in JOINED for imu in imus]
-        joined = all(int(end.get('publishers', 0)) > 0 for end in ends)
+        joined = all(
+            int(self._figures.get(f'{node}: {imu}', {}).get(end, 0)) > 0
+            for node, end in JOINED
+            for imu in imus
+        )
         return heard and joined and self.count_publishers('imu/data') > 0
 
     def _tell(self) -> None:

@@ -115,7 +115,8 @@ def test_the_demo_runs_live(tmp_path):
     assert result.exit_code in (0, 1), result.exception
     table = json.loads(result.stdout)
     assert table['scans_without_fused_message'] < 10  # a busy machine may stall once
-    if table['scans_without_fused_message'] == 0:
+    # A topic that is served later than the first half second is given up, live but not again.
+    if table['scans_without_fused_message'] == 0 and table['age_p99_s'] < 0.4:
         assert table['replay_difference'] < 1e-9  # rounding: matrices are multiplied in batches
     rate = table['errors']['angular_rate']
     assert rate['fused'] < rate['best_single']
