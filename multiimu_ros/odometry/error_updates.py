@@ -181,13 +181,12 @@ def update(
         variance = force_density**2 / dt + settings[6] ** 2
         _update_gravity(error, P, R, residual, variance, gravity)
         _inject(x, R, P, error)
-    rate_n = R @ (rate - x[9:12])
-    square = np.sum(rate_n**2)
+    turn = rate - x[9:12]
     # The heel comes down before the sole: the rate at which a stance began counts for a while.
     fading = memory[TURNED] * np.exp(-dt / settings[18]) if still and settings[18] > 0.0 else 0.0
-    memory[TURNED] = max(square, fading)
+    memory[TURNED] = max(np.sum(turn**2), fading)
     if still:
-        _stand(x, R, P, memory, settings, dt, rate_n)
+        _stand(x, R, P, memory, settings, dt, turn)
     else:
         memory[20] = max(memory[20], np.sum(x[3:6] ** 2))
         if memory[19] > 0.0 and memory[21] > SWING:
@@ -196,12 +195,13 @@ def update(
 
 @compiled
 def _stand(
-    x: Vector, R: Matrix, P: Matrix, memory: Vector, settings: Vector, dt: float, rate_n: Vector
+    x: Vector, R: Matrix, P: Matrix, memory: Vector, settings: Vector, dt: float, turn: Vector
 ) -> None:
     """Correct by a stance, if it is to be believed: a foot rolls about a point below the IMU."""
     sigma = np.sqrt(settings[1] ** 2 + settings[15] ** 2 * memory[TURNED])
     variance = white_equivalent(sigma, settings[2], dt)
     if memory[7] > CONFIRMED or _credible(x, P, memory, variance):
-        velocity = settings[17] * np.array([rate_n[1], -rate_n[0], 0.0])
+        turn_n = R @ turn
+        velocity = settings[17] * np.array([turn_n[1], -turn_n[0], 0.0])
         _see_velocity(x, R, P, memory, velocity, variance, settings[15] > 0.0)
         memory[20] = -1.0

@@ -6,7 +6,8 @@ All decisions are taken in the time of the stamps, never in the time of arrival,
 samples give the same scans in whatever order the topics are served:
 
 * a stream that stays `patience` behind the newest stamp is absent, and no longer waited for;
-  if it was the reference, the next living stream takes over, and no scan is lost;
+  if it was the reference, the next living stream takes over, and no scan is lost; at the start,
+  when topics are discovered one by one, patience is longer;
 * between two samples further apart than 3 periods nothing is interpolated: the scan has NaN there;
 * a stream that returns from an outage is given but not trusted for `probation`: its share is 0,
   then grows to 1 over the same time again, so that nothing downstream sees a step;
@@ -33,7 +34,8 @@ class SyncConfig:
     patience_s : float
         How far one stream may stay behind the newest stamp before it counts as absent [s].
     start_patience_s : float
-        The same for streams that never said anything, at the start [s].
+        The same at the start, for streams that never said anything, or whose first samples come
+        in a burst [s].
     probation_s : float
         How long a stream that returns is watched before its share grows [s].
     jump_s : float
