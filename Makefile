@@ -24,7 +24,7 @@ FIRMWARE_TOOLS := make gcc g++ libc6-dev gcc-avr avr-libc binutils-avr arduino-c
 	libsimavr-dev arduino-builder
 
 .DEFAULT_GOAL := help
-.PHONY: help install kernels demo test check static bench clean firmware-tools
+.PHONY: help install kernels demo test statistics check static bench clean firmware-tools
 
 help:  ## say what there is
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -43,22 +43,25 @@ firmware-tools:  ## the toolchain of the firmware's tests, where apt-get may be 
 		$(FIRMWARE_TOOLS) >/dev/null; } || \
 	echo 'The tests of the firmware will be skipped: apt-get install $(FIRMWARE_TOOLS)'
 
-test: firmware-tools  ## everything: linters, types, imports, all tests with branch coverage
+test: firmware-tools  ## everything but statistics: linters, types, imports, tests with coverage
 	@$(MAKE) --no-print-directory -j 2 -O static kernels
 	@rm -f .coverage
 	@echo '== 1/3 core, compiled, two at a time'
-	$(COVERED) -n 2 --dist worksteal -m 'not ros'
+	$(COVERED) -n 2 --dist worksteal -m 'not ros and not long'
 	@echo '== 2/3 rim: real nodes and processes that mostly wait, each third in a domain of its own'
 	$(COVERED) -n 3 --dist loadfile -m ros --ignore=test/firmware
 	@echo '== 2/3 rim: the board in real time, which takes what it needs of the processors'
 	$(COVERED) -n 2 --dist loadfile -m ros test/firmware
 	@echo '== 3/3 kernels as plain Python, for coverage'
 	MULTIIMU_COMPILED=0 $(COVERED) -n 2 --dist worksteal \
-		-m 'not ros and not slow and not realdata and not compiled' $(KERNELS) $(NO_KERNELS)
+		-m 'not ros and not slow and not long and not realdata and not compiled' $(KERNELS) $(NO_KERNELS)
 	$(BIN)/python -m coverage report --skip-covered
 
+statistics: kernels  ## what it takes many runs to tell: bounds, rates of error, honest sigmas
+	$(PYTEST) -n 2 --dist worksteal -m long
+
 check: static kernels  ## the four of pre-commit, with the quick tests only
-	$(PYTEST) -n 2 -m 'not ros and not slow and not realdata'
+	$(PYTEST) -n 2 -m 'not ros and not slow and not long and not realdata'
 
 static: $(READY)
 	$(BIN)/ruff format --check .

@@ -31,6 +31,13 @@ def rng():
     return np.random.default_rng(20260711)
 
 
+def pytest_collection_modifyitems(items):
+    """Let coverage look away from slow tests: quicker ones must reach the same lines."""
+    for item in items:
+        if item.get_closest_marker('slow'):
+            item.add_marker(pytest.mark.no_cover)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item, call):
     """Where the recordings must be there (CI), a skipped test of real data is a failed one."""

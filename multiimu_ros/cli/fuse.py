@@ -11,7 +11,7 @@ import typer
 from multiimu_ros.arrays import NANOSECONDS
 from multiimu_ros.bags import find_imu_topics, ImuRecording, list_topics, read_imus
 from multiimu_ros.cli.fused_bag import fused_bag, FusedBag, write_fused
-from multiimu_ros.cli.hindsight import smoothed, smoothed_columns, Tape
+from multiimu_ros.cli.hindsight import smoothed_columns, solved, Tape
 from multiimu_ros.cli.options import (
     AsJson,
     make_folder,
@@ -21,13 +21,16 @@ from multiimu_ros.cli.options import (
     split_names,
     with_progress,
 )
+from multiimu_ros.errors import ConfigError
 from multiimu_ros.fusion.benefit import Benefit
+from multiimu_ros.odometry.smoother import Closure
 from multiimu_ros.pipeline import FusedFrame, ImuHealth, Pipeline, PipelineConfig
 from multiimu_ros.pipeline_config import CHOICES, fused_frame_id
 from multiimu_ros.report.walk import joined, smoothed_walk, Walk, WalkRecorder
 from multiimu_ros.rig import load_rig
 
 BLOCK = 4096  # readings fused at a time
+DOUBTFUL = 5.0  # sigma: the height of a foot errs by twice of what it says, at times
 NOISES = (('rate', 1e3 * np.rad2deg(1.0), 'mdeg/s'), ('force', 1e3, 'mm/s^2'))
 
 app = typer.Typer(add_completion=False)
@@ -64,6 +67,9 @@ def fuse(
     smooth: Annotated[
         bool, typer.Option('--smooth', help='Make `odom` anew, knowing the whole recording.')
     ] = False,
+    closed: Annotated[
+        float | None, typer.Option(help='With --smooth: it ended where it began, to this [m].')
+    ] = None,
     report: Annotated[
         Path | None, typer.Option(help='Folder for `fuse.html`, with the path as pictures.')
     ] = None,
@@ -72,6 +78,7 @@ def fuse(
     options: OptionsFile = None,  # noqa: ARG001 read by its callback
 ) -> None:
     """Fuse a bag of raw IMU topics into `imu/data` and `odom`, stamped with the measurement."""
+    _check_closed(closed, smooth=smooth)
     board = load_rig(rig)
     config = PipelineConfig(  # which refuses what it does not know
         profile=cast('Any', profile), local=cast('Any', local), master=cast('Any', master),
@@ -90,14 +97,17 @@ def fuse(
     frames = fused_frames(pipeline, recording, list(names))
     recorder = WalkRecorder()
     walk: Walk | None = None
+    closure: Closure | None = None
     with fused_bag(output, storage, frame_id) as fused:
         if report is not None:
             frames = recorder.watch(frames)
         if smooth:
-            still, walk = _write_smoothed(fused, pipeline, frames, recorder)
+            still, walk, closure = _write_smoothed(fused, pipeline, frames, recorder, closed)
         else:
             still = write_fused(fused, frames)
     summary = _summary(pipeline, recording, still, time.perf_counter() - begin)
+    if closure is not None:
+        summary['closure'] = closure._asdict()
     if report is not None:
         about = bag.resolve().name, board.rig.name, profile
         summary['report'] = _write_page(report, about, pipeline, recorder.walk(), walk)
@@ -110,6 +120,8 @@ def fuse(
         [_row(imu) for imu in summary['imus']],
     )
     typer.echo(_gain(pipeline.benefit()))
+    if closure is not None:
+        typer.echo(_closing(closure))
     if report is not None:
         typer.echo(f'The path as pictures: {summary["report"]}')
     for imu in summary['imus']:
@@ -117,9 +129,31 @@ def fuse(
             typer.echo(f'{imu["name"]}: recalibrate it; its {imu["recalibrate"]} is off')
 
 
+def _check_closed(closed: float | None, *, smooth: bool) -> None:
+    if closed is not None and not smooth:
+        msg = 'A closed path is known in hindsight only: `--closed` needs `--smooth`.'
+        raise ConfigError(msg)
+    if closed is not None and not 0.0 < closed < np.inf:
+        msg = f'`--closed` must be a positive length [m], got {closed}.'
+        raise ConfigError(msg)
+
+
+def _closing(closure: Closure) -> str:
+    """Say in a sentence how well the recording closed by itself."""
+    doubt = '; did it really end where it began?' if closure.surprise > DOUBTFUL else ''
+    return (
+        f'Before it was closed, the path ended {closure.gap:.3g} m from its start, '
+        f'{closure.surprise:.1f} sigma{doubt}'
+    )
+
+
 def _write_smoothed(
-    bag: FusedBag, pipeline: Pipeline, frames: Iterator[FusedFrame], recorder: WalkRecorder
-) -> tuple[float, Walk | None]:
+    bag: FusedBag,
+    pipeline: Pipeline,
+    frames: Iterator[FusedFrame],
+    recorder: WalkRecorder,
+    closed: float | None,
+) -> tuple[float, Walk | None, Closure | None]:
     """Write the frames with the odometry in hindsight.
 
     Returns
@@ -128,15 +162,19 @@ def _write_smoothed(
         Share of still frames.
     Walk or None
         The odometry in hindsight, where `recorder` has watched the frames.
+    Closure or None
+        How well it closed, where that was said to be known.
     """
     tape = Tape(frames)
     live = recorder.walk() if recorder.watches else None
     walks = []
-    for block in smoothed(pipeline, tape):
+    smoother = solved(pipeline, tape, closed)
+    for block in smoother.blocks():
         bag.write(*smoothed_columns(tape, block))
         if live is not None:
             walks.append(smoothed_walk(live, block))
-    return float(np.mean(tape.flags[:, 0])), joined(walks) if walks else None
+    still = float(np.mean(tape.flags[:, 0]))
+    return still, joined(walks) if walks else None, smoother.closure
 
 
 def _write_page(

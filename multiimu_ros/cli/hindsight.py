@@ -1,6 +1,6 @@
 """What `multiimu fuse --smooth` does: the odometry anew, knowing the whole recording."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -66,8 +66,17 @@ def _kept(records: list[Matrix]) -> Mapping[str, Matrix]:
     return {name: column[name].copy() for name in KEPT}
 
 
-def smoothed(pipeline: Pipeline, tape: Tape) -> Iterator[Smoothed]:
-    """Yield the odometry in hindsight, block by block.
+def solved(pipeline: Pipeline, tape: Tape, closed_sigma: float | None) -> Smoother:
+    """Return the odometry in hindsight, ready to yield its blocks.
+
+    Parameters
+    ----------
+    pipeline : Pipeline
+        What made the frames.
+    tape : Tape
+        Of the frames.
+    closed_sigma : float or None
+        The rig ended where it began, to this distance [m]; None if nothing is known of that.
 
     Raises
     ------
@@ -85,10 +94,10 @@ def smoothed(pipeline: Pipeline, tape: Tape) -> Iterator[Smoothed]:
         rate_density=density[:, :3], force_density=density[:, 3:],
         still=tape.flags[:, 0], resting=tape.flags[:, 1],
     )  # fmt: skip
-    smoother = Smoother(pipeline.odometry_config, recording)
+    smoother = Smoother(pipeline.odometry_config, recording, closed_sigma)
     for _ in with_progress(smoother.solve(), 2 * smoother.segments, 'Smoothing'):
         pass
-    yield from smoother.blocks()
+    return smoother
 
 
 def smoothed_columns(tape: Tape, block: Smoothed) -> tuple[Stamps, Mapping[str, Matrix]]:

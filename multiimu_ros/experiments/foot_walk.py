@@ -179,12 +179,16 @@ def _read(
 
 def run_chain(walk: Walk, config: PipelineConfig | None = None) -> Track:
     """Send a walk through the whole chain, as `multiimu fuse` does."""
-    pipeline = Pipeline(walk.rig, config or PipelineConfig(profile='foot'))
+    return as_track(fused(walk, Pipeline(walk.rig, config or PipelineConfig(profile='foot'))))
+
+
+def fused(walk: Walk, pipeline: Pipeline) -> Iterable[FusedFrame]:
+    """Return what a new pipeline makes of a walk."""
     count = len(walk.rig.imus)
     instants = walk.times[:, np.newaxis] + STAGGER * np.arange(count)
     stamps = np.round(instants * NANOSECONDS).astype(np.int64).ravel()
     imus = np.tile(np.arange(count), len(walk.times))
-    return as_track(pipeline.push_block(imus, stamps, walk.raw.reshape(-1, 6)))
+    return pipeline.push_block(imus, stamps, walk.raw.reshape(-1, 6))
 
 
 def as_track(frames: Iterable[FusedFrame]) -> Track:

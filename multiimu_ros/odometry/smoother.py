@@ -19,6 +19,7 @@ are needed.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -146,6 +147,22 @@ def admit_losses(
     )
 
 
+class Closure(NamedTuple):
+    """How far from its start a recording ended that is said to be closed.
+
+    Parameters
+    ----------
+    gap : float
+        Distance, before that was used [m].
+    surprise : float
+        Its rms over the three axes in standard deviations, those of the filter and of what was
+        said together; about 1 if both are right.
+    """
+
+    gap: float
+    surprise: float
+
+
 class Smoother:
     """The two passes over one recording without jumps in time.
 
@@ -156,7 +173,12 @@ class Smoother:
     recording : Recording
         What to smooth.
     closed_sigma : float, optional
-        The rig ended where it began, to this distance [m].
+        The rig ended where it began, to this distance along each axis [m].
+
+    Attributes
+    ----------
+    closure : Closure or None
+        Whether that may be true; None where it was not said, or not solved yet.
     """
 
     def __init__(
@@ -176,6 +198,7 @@ class Smoother:
         still, resting = recording.still[self._rows], recording.resting[self._rows]
         self._flags = believe_rest(self._steps, still, resting, config.resting_lag)
         self._closed_sigma = closed_sigma
+        self.closure: Closure | None = None
         self._settings, first = _start(config, self._sample(0))
         self._marks = [first]
         self._ends: list[End] = []
@@ -197,7 +220,9 @@ class Smoother:
             yield
         x, R, P = (array.copy() for array in self._marks[-1][:3])
         if self._closed_sigma is not None:
-            see_position(x, R, P, np.zeros(3), self._closed_sigma**2)
+            variance = self._closed_sigma**2
+            self.closure = _closure(x[:3], P[:3, :3] + variance * np.eye(3))
+            see_position(x, R, P, np.zeros(3), variance)
         ends: list[End] = []
         for segment in reversed(range(self.segments)):
             ends.append((x.copy(), R.copy(), P.copy()))
@@ -235,6 +260,11 @@ class Smoother:
         out = np.empty((n, 15)), np.empty((n, 3, 3)), np.empty((n, 15, 15))
         run_backward(x, R, P, *tape, *out)
         return out
+
+
+def _closure(gap: Vector, covariance: Matrix) -> Closure:
+    square = float(gap @ np.linalg.solve(covariance, gap))
+    return Closure(float(np.linalg.norm(gap)), float(np.sqrt(square / 3)))
 
 
 def _start(config: ErrorStateConfig, sample: Sample) -> tuple[Vector, Mark]:

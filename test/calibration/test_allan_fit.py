@@ -51,6 +51,7 @@ def test_terms_have_the_slopes_and_heights_of_the_standard():
         assert_allclose(column, np.broadcast_to(deviation, 3), rtol=1e-3)  # 0.664 has 3 digits
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('letter', TERMS)
 def test_nineteen_intervals_of_twenty_hold_the_truth(letter):
     terms = [fit.terms[letter] for fit in fits()]
@@ -171,6 +172,7 @@ def test_scale_of_values_and_of_time_go_through(rng):
         assert_allclose(two.free[k], one.free[k] * (1e-3 * units[letter]) ** 2, rtol=1e-6, atol=0)
 
 
+@pytest.mark.long
 def test_band_holds_the_deviation_of_the_process():
     rng, inside = np.random.default_rng(6), []
     for _ in range(100):

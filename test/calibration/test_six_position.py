@@ -173,6 +173,7 @@ def test_the_upper_triangular_convention_is_the_same_model_in_another_frame(seed
     assert np.array_equal(np.tril(own.triad.misalignment_sigma), np.zeros((3, 3)))
 
 
+@pytest.mark.long
 def test_the_frame_of_the_accelerometer_has_an_honest_sigma(rng):
     clean = fit_accelerometer(readings_of(G), G, upper_triangular=True)
     distances = []
@@ -198,6 +199,7 @@ def test_the_gyroscope_follows_into_the_frame_of_the_accelerometer(rng):
     GyroscopeTriad.model_validate(gyroscope.triad.model_dump())  # as the rig file holds it
 
 
+@pytest.mark.long
 def test_the_gyroscope_pays_for_the_uncertain_frame_of_the_accelerometer(rng):
     def fit_once(rng):
         u = readings_of(G, np.eye(3)) + 0.05 * rng.normal(size=(6, 3))

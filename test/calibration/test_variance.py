@@ -75,6 +75,7 @@ def test_a_component_is_recovered_without_bias():
     assert found.mean() == pytest.approx(1.0, abs=3 * 1.2 * np.sqrt(2 / 36 / 100))
 
 
+@pytest.mark.long
 def test_two_components_are_told_apart():
     whites = np.full(P, 0.2)
     V = np.diag(whites) + 1.0 * KERNELS[0] + 0.05 * KERNELS[1]

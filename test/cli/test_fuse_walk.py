@@ -1,6 +1,7 @@
 """`multiimu fuse --smooth --report` on a walk."""
 
 import json
+import re
 
 from live_chain import numbers
 import numpy as np
@@ -53,6 +54,31 @@ def test_hindsight_changes_the_odometry_alone_and_is_surer(folder):
     page = (folder / 'report' / 'fuse.html').read_text()
     assert summary['report'] == str(folder / 'report' / 'fuse.html')
     assert 'smoothed' in page
+
+
+def test_a_walk_that_is_said_to_close_does_and_tells_how_far_off_it_was(folder):
+    summary = fuse(folder, 'closed', '--smooth', '--closed', '0.001')
+    _, rows = numbers(folder / 'closed', '/odom')
+    assert np.linalg.norm(rows[-1, :3]) < min(0.003, summary['closure']['gap'])
+    assert summary['closure']['surprise'] < 3
+    command = [folder / 'bag', '--rig', folder / 'rig.yaml', '-o', folder / 'again']
+    told = CliRunner().invoke(app, [*map(str, command), '--smooth', '--closed', '0.001'])
+    # With the profile of a hand no stance is ever found.
+    assert re.search(r'the path ended [\d.]+ m from its start, [\d.]+ sigma', told.stdout)
+
+
+@pytest.mark.parametrize(
+    ('options', 'says'),
+    [
+        (['--closed', '0.1'], '`--closed` needs `--smooth`'),
+        (['--smooth', '--closed', '0'], r'`--closed` must be a positive length \[m\], got 0\.0'),
+        (['--smooth', '--closed', 'nan'], '`--closed` must be a positive length'),
+    ],
+)
+def test_closing_is_asked_for_in_a_way_that_makes_sense(folder, options, says):
+    with pytest.raises(ConfigError, match=says):
+        fuse(folder, 'never', *options)
+    assert not (folder / 'never').exists()
 
 
 @pytest.mark.parametrize(

@@ -72,6 +72,7 @@ def test_yaw_variance_grows_in_motion_and_stops_at_rest(rng):
     assert attitude.P[2, 2] < held + 1e-9
 
 
+@pytest.mark.long
 @pytest.mark.slow  # where nothing is compiled
 def test_uncertainty_is_what_the_error_is():
     errors = []
@@ -86,8 +87,8 @@ def test_uncertainty_is_what_the_error_is():
     assert_allclose(np.mean(errors, axis=0), 1.0, atol=0.66)
 
 
+@pytest.mark.long
 @pytest.mark.slow
-@pytest.mark.no_cover
 def test_yaw_drifts_as_its_variance_says_over_five_minutes():
     ratios, dt = [], 0.04
     for seed in range(24):
@@ -107,7 +108,7 @@ def test_yaw_drifts_as_its_variance_says_over_five_minutes():
 
 
 @pytest.mark.slow
-@pytest.mark.no_cover
+@pytest.mark.long
 def test_eight_imus_hold_the_attitude_of_a_hand_for_five_minutes():
     tilt, yaw = np.median([attitude_error_of_eight(seed, 300.0, 100.0) for seed in (1, 2, 3)], 0)
     # Measured: 0.011 and 0.043 deg; 0.010 and 0.060 at 200 Hz, medians of five.

@@ -7,7 +7,7 @@ from multiimu_ros.odometry.attitude import AttitudeFilter
 from multiimu_ros.odometry.madgwick import MadgwickAttitude
 from multiimu_ros.odometry.rk4_attitude import Rk4Attitude
 
-pytestmark = [pytest.mark.realdata, pytest.mark.slow, pytest.mark.no_cover]
+pytestmark = [pytest.mark.realdata, pytest.mark.slow]
 
 
 @pytest.mark.parametrize('number', broad.TRIALS)

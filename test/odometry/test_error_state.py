@@ -56,6 +56,7 @@ def test_transition_is_the_derivative_of_the_mechanisation(rng):
     assert_allclose(F, numeric, atol=2e-5)
 
 
+@pytest.mark.compiled
 def test_a_standing_rig_stays_where_it_is(rng):
     for profile in ('hand', 'foot'):
         detector, _, odometry = filters(profile)
@@ -71,6 +72,7 @@ def test_a_standing_rig_stays_where_it_is(rng):
         assert np.abs(positions[-1]).max() < 3 * np.sqrt(odometry.P[0, 0])
 
 
+@pytest.mark.long
 @pytest.mark.slow  # where nothing is compiled
 def test_uncertainty_is_what_the_error_is():
     scores = []
@@ -200,6 +202,7 @@ def test_stances_tell_how_large_the_errors_of_a_swing_are():
     assert exact < 0.8 * poor < 0.8 * worse  # a perfect stride takes a tenth off, four a third
 
 
+@pytest.mark.compiled
 def test_covariance_survives_a_long_wild_run(rng):
     _, _, odometry = filters('vehicle')
     for k in range(4000):

@@ -91,6 +91,7 @@ def test_three_like_imus_are_one_virtual_imu():
     assert_allclose(np.sqrt(np.diag(ours[-1][3])), sigma, rtol=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.slow  # where nothing is compiled
 def test_the_masters_uncertainty_is_what_its_error_is():
     scores = []
@@ -109,6 +110,7 @@ def test_the_masters_uncertainty_is_what_its_error_is():
     assert_allclose(np.mean(scores, axis=0), 1.0, atol=0.66)
 
 
+@pytest.mark.long
 @pytest.mark.slow  # where nothing is compiled
 @pytest.mark.parametrize('gain', [(1.0, 1.0, 1.0), (1.0, 1.0, 2.45)])  # one of six times R
 def test_isolation_costs_at_most_15_percent_of_error(gain):

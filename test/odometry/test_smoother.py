@@ -204,6 +204,7 @@ def test_a_smoothed_walk_is_nearer_to_the_truth():
     assert gain_p < 0.9
 
 
+@pytest.mark.long
 @pytest.mark.slow  # where nothing is compiled
 def test_uncertainty_is_what_the_smoothed_error_is():
     scores, gains = [], []
@@ -274,6 +275,7 @@ def test_a_lost_sample_is_admitted():
     assert_allclose(np.sqrt(added), 0.04 * config.motion_rate_sigma, rtol=1e-9)
 
 
+@pytest.mark.compiled
 def test_a_walk_that_is_known_to_end_where_it_began_does():
     _, recording, config, _, _ = live('hand', 'hand', 10.0, 50, seed=2)
     open_, closed = smooth(config, recording), smooth(config, recording, closed_sigma=1e-3)
@@ -281,6 +283,21 @@ def test_a_walk_that_is_known_to_end_where_it_began_does():
     spread = [np.trace(s.P[:, :3, :3], axis1=1, axis2=2) for s in (open_, closed)]
     # More is known, so no variance is larger but by rounding.
     assert (spread[1] <= spread[0] + 1e-12).all()
+
+
+def test_a_path_that_cannot_have_closed_is_a_surprise():
+    _, _, odometry = filters('hand')
+    rate, force = np.zeros((60, 3)), np.tile(UP, (60, 1))
+    force[20:30, 0], force[30:40, 0] = 5.0, -5.0  # 5 cm aside, from rest to rest
+    recording = recorded(rate, force, 0.01, still=True)
+    recording.still[19:41] = False
+    away, back = (Smoother(odometry._config, recording, sigma) for sigma in (1e-4, 1.0))
+    assert away.closure is None
+    for each in (away, back):
+        for _ in each.solve():
+            pass
+        assert each.closure.gap == pytest.approx(0.05, rel=0.1)
+    assert back.closure.surprise < 0.1 < away.closure.surprise
 
 
 def test_one_sample_is_a_recording():

@@ -26,7 +26,6 @@ def vicon_walks():
 
 
 @pytest.mark.realdata
-@pytest.mark.no_cover
 @pytest.mark.slow  # 14 walks
 def test_one_setting_follows_every_foot_of_the_vicon_trials():
     errors = [vicon_error(trial, walked.position) for trial, walked in vicon_walks()]
@@ -37,7 +36,6 @@ def test_one_setting_follows_every_foot_of_the_vicon_trials():
 
 
 @pytest.mark.realdata
-@pytest.mark.no_cover
 @pytest.mark.slow  # 14 walks
 def test_stances_that_knew_the_truth_are_as_good_as_their_publishers_say():
     trials = pyshoe_vicon()
@@ -47,7 +45,6 @@ def test_stances_that_knew_the_truth_are_as_good_as_their_publishers_say():
 
 
 @pytest.mark.realdata
-@pytest.mark.no_cover
 @pytest.mark.slow  # 14 walks
 def test_errors_of_the_vicon_trials_are_what_the_filter_expects():
     scores, heights = [], []

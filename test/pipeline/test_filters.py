@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from typing import get_args
 
 from blocks import frames_of
@@ -93,8 +94,16 @@ PARTICLES = 1.35
 PRINTED = np.inf
 
 
-@pytest.mark.parametrize('master', get_args(Master))
-@pytest.mark.parametrize('local', get_args(Local))
+def combinations():
+    """Return each local filter with each master; where neither is the default, among the long."""
+    rows = []
+    for local, master in product(get_args(Local), get_args(Master)):
+        default = PipelineConfig.local == local or PipelineConfig.master == master
+        rows.append(pytest.param(local, master, marks=() if default else pytest.mark.long))
+    return rows
+
+
+@pytest.mark.parametrize(('local', 'master'), combinations())
 def test_every_filter_runs_through_the_chain_and_is_as_good_as_theory_says(local, master):
     path, simulated, rig = recording(row, 3, duration=MOVING)
     _, frames = run(rig, simulated.raw, local=local, master=master)
@@ -254,6 +263,7 @@ def white(error):
     return rms(error[6:] - 2 * error[3:-3] + error[:-6]) / np.sqrt(6.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('calibrated', [True, False])
 def test_noise_that_the_rig_file_does_not_know_is_learnt_in_motion(calibrated):
     found = {}

@@ -67,8 +67,8 @@ def scores(seed):
     return {name: nees(e[600:], P[600:]) for name, (e, P) in pairs.items()}
 
 
+@pytest.mark.long
 @pytest.mark.slow
-@pytest.mark.no_cover
 def test_every_covariance_is_true():
     table = [scores(seed) for seed in range(20)]
     mean = {name: np.mean([row[name] for row in table]) for name in table[0]}

@@ -104,6 +104,7 @@ def test_sigmas_are_what_errors_of_single_coordinates_add_up_to():
     assert_allclose([fit.rotation_sigma, fit.lever_arm_sigma], np.sqrt(variance), rtol=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize('known', [True, False])
 def test_sigmas_are_honest(rng, known):
     squares, variances, found = [], [], []
@@ -174,6 +175,7 @@ def test_a_point_that_was_measured_badly_is_named(rng):
         fit_tip(survey.model_copy(update={'imus': dict(survey.imus) | {'imu2': board}}))
 
 
+@pytest.mark.long
 def test_a_good_board_is_refused_as_rarely_as_promised(rng):
     # 3 boards, 300 times, at 1e-4 each: the chance of two refusals is 0.4 %.
     refused = 0

@@ -153,6 +153,7 @@ def test_noise_of_the_attitude_does_not_shorten_the_lever_arm():
     assert abs(error @ LEVER_ARM) < 0.01 * LEVER_ARM @ LEVER_ARM
 
 
+@pytest.mark.long
 def test_sigmas_are_honest():
     scores = []
     for seed in range(12):

@@ -21,6 +21,8 @@ from multiimu_ros.simulation.placements import ring
 SEEDS = (0, 1)
 
 
+@pytest.mark.slow
+@pytest.mark.long
 def test_arms_are_within_their_sigma_and_hundredths_of_a_millimetre():
     errors, z = [], []
     for seed in SEEDS:

@@ -87,6 +87,7 @@ def test_the_yaw_that_nothing_determines_changes_nothing(rng, monkeypatch):
     assert one.chi_square == pytest.approx(held.chi_square, rel=1e-3)
 
 
+@pytest.mark.long
 def test_two_imus_together_are_at_least_as_good_as_each_alone():
     together, alone = [], []
     for seed in range(6):
@@ -104,6 +105,7 @@ def test_two_imus_together_are_at_least_as_good_as_each_alone():
     assert np.mean(np.square(together)) < np.mean(np.square(alone))
 
 
+@pytest.mark.long
 def test_the_rotation_between_two_imus_is_as_good_as_it_says():
     z = []
     for seed in range(12):

@@ -122,6 +122,7 @@ def test_clocks_may_be_any_time_apart(seed, offset):
     assert abs(found.delay - offset - expected.delay) < 0.1 * expected.delay_sigma + 1e-9
 
 
+@pytest.mark.long
 def test_stated_sigmas_are_those_of_the_errors():
     errors, z = deviations(range(60))
     assert np.abs(errors).max() < 20e-6
@@ -130,6 +131,7 @@ def test_stated_sigmas_are_those_of_the_errors():
     assert np.sum(np.abs(z) < 1.96) >= 50
 
 
+@pytest.mark.long
 def test_stamps_that_jitter_by_a_millisecond_cost_tens_of_microseconds():
     errors, z = deviations(range(40), jitter=0.001)
     # 1 ms over the root of 6000 samples is 13 us; where nothing turns they tell little.
@@ -141,12 +143,14 @@ def test_stamps_that_jitter_by_a_millisecond_cost_tens_of_microseconds():
     assert fit_time_map(*pair(0)).jitter < 0.1e-3
 
 
+@pytest.mark.long
 def test_a_bmi160_without_g_sensitivity_is_aligned_within_three_microseconds():
     errors, z = errors_and_z(range(5), g_sensitivity=False)
     assert np.abs(errors).max() < 3e-6
     assert_standard_normal(z)
 
 
+@pytest.mark.long
 def test_an_unknown_g_sensitivity_is_in_the_sigma():
     errors, z = errors_and_z(range(5), g_sensitivity=True)
     assert np.abs(errors).max() > 5e-6  # it does matter

@@ -97,6 +97,7 @@ def test_scans_do_not_depend_on_the_order_in_which_topics_arrive(seed):
     assert abs(len(straight) - len(late)) <= 1  # the very last one may still be waited for
 
 
+@pytest.mark.compiled
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_block_makes_the_scans_that_single_readings_make(seed):
     rng = np.random.default_rng(seed)
