@@ -20,11 +20,16 @@ import numpy as np
 from multiimu_ros.arrays import as_vector, Matrix, Vector
 from multiimu_ros.odometry.attitude_steps import (
     align,
+    FORCE,
     GAP,
     level,
+    MEMORY,
     OUTAGE,
+    RADIAL,
+    RATE,
     step_attitude,
     told_covariance,
+    VELOCITY,
 )
 from multiimu_ros.odometry.rest import RestBuffer, Sample
 
@@ -103,7 +108,7 @@ class AttitudeFilter:
         speed = np.full(3, np.sqrt(config.motion_sigma * config.motion_reach))
         sigmas = (np.ones(3), config.rate_bias_sigma, speed, config.force_bias_sigma)
         self._P = np.diag(np.square(np.concatenate(sigmas)))
-        self._memory = np.zeros(16)
+        self._memory = np.zeros(MEMORY)
         self._aligned = self._started = False
         self._rest = RestBuffer(config.resting_lag)
 
@@ -169,7 +174,8 @@ class AttitudeFilter:
             sigma = self._config.still_sigma if sample.still else self._config.motion_sigma
             self.align(sample.specific_force, sigma)
         if not self._started:
-            self._memory[:3], self._memory[8:11] = sample.angular_rate, sample.specific_force
+            self._memory[RATE:RADIAL] = sample.angular_rate
+            self._memory[FORCE:VELOCITY] = sample.specific_force
             self._started = True
             return
         step_attitude(self._R, self._bias, self._P, self._memory, self._settings, *sample)

@@ -26,6 +26,15 @@ CONFIRMED = 0.1  # [s] no swing looks still for longer, but a running stance doe
 SIZE = 12  # of the error
 ESTIMATED = 9  # of its entries
 
+# Settings, those of `AttitudeConfig`; WALK are three, of the gyro bias.
+MOTION, SLOW_SIGMA, SLOW_TIME, MOTION_RATE, RESTING_WALK, GRAVITY, WALK = range(7)
+REACH, SCALE, ARM = 9, 10, 11
+# Memory: the newest rate (three numbers), mean square of |f| - g, the rate before (three) and the
+# time between the two; the newest force and the velocity (three each); time still; variance of
+# yaw that is kept out of the filter.
+RATE, RADIAL, RATE_BEFORE, DT_BEFORE, FORCE, VELOCITY, STOOD, YAW = 0, 3, 4, 7, 8, 11, 14, 15
+MEMORY = 16
+
 
 @compiled
 def level(specific_force: Vector) -> Matrix:
@@ -116,21 +125,22 @@ def _advance(
 
     `tilting` is noise of all axes but the vertical.
     """
-    bend = curvature(memory[4:7], memory[:3], rate, memory[7], dt) - bias
+    earlier = memory[RATE:RADIAL]
+    bend = curvature(memory[RATE_BEFORE:DT_BEFORE], earlier, rate, memory[DT_BEFORE], dt) - bias
     if dt > OUTAGE:
         bend = -bias
-    phi, dv, _ = increments(memory[:3] + bend, memory[8:11], rate + bend, force, dt)
+    phi, dv, _ = increments(earlier + bend, memory[FORCE:VELOCITY], rate + bend, force, dt)
     F = np.eye(SIZE)
     F[:3, :3] = exp_so3(-phi)
     F[:3, 3:6] = -dt * right_jacobian(phi)
     F[6:9, :3] = -product(R, skew(dv))
     F[6:9, 9:12] = -dt * R
     propagate(P, F)
-    memory[11:14] += product(R, dv.reshape(3, 1)).ravel()
-    memory[13] -= settings[5] * dt
+    memory[VELOCITY:STOOD] += product(R, dv.reshape(3, 1)).ravel()
+    memory[VELOCITY + 2] -= settings[GRAVITY] * dt
     R[:] = renormalise(product(R, exp_so3(phi)))
     for i in range(3):
-        walk = settings[6 + i] ** 2
+        walk = settings[WALK + i] ** 2
         P[i, i] += rate_psd[i] * dt + walk * dt**3 / 3.0
         P[i, 3 + i] -= walk * dt**2 / 2.0
         P[3 + i, i] -= walk * dt**2 / 2.0
@@ -163,16 +173,16 @@ def _correct_moving(
     sigma: float,
 ) -> None:
     """Use that the velocity of a rig that accelerates by `sigma` is bounded (attitude.md (7))."""
-    velocity, reach, gravity = memory[11:14], settings[9], settings[5]
+    velocity, reach, gravity = memory[VELOCITY:STOOD], settings[REACH], settings[GRAVITY]
     if dt > OUTAGE:  # level anew what may have been tilted unseen, as at the start
         _set_velocity(velocity, P, sigma * reach)
         _gravity_update(R, error, P, force, gravity, white + sigma**2)
         return
     variance = white_equivalent(np.sqrt(sigma * reach), np.sqrt(reach / sigma), dt)
-    if memory[14] > 0.0:
-        roll = settings[11] ** 2 * np.sum((rate - bias) ** 2)
-        slow = white_equivalent(np.sqrt(settings[1] ** 2 + roll), settings[2], dt)
-        if memory[14] > CONFIRMED or _credible(velocity, P, slow):
+    if memory[STOOD] > 0.0:
+        roll = settings[ARM] ** 2 * np.sum((rate - bias) ** 2)
+        slow = white_equivalent(np.sqrt(settings[SLOW_SIGMA] ** 2 + roll), settings[SLOW_TIME], dt)
+        if memory[STOOD] > CONFIRMED or _credible(velocity, P, slow):
             variance = slow
     _update_direct(error, P, 6, -velocity, np.full(3, variance))
 
@@ -189,10 +199,10 @@ def _rest(
     variance: Vector,
 ) -> None:
     """Hold the attitude, and learn the bias from a rate with noise of `variance` (3,)."""
-    _set_velocity(memory[11:14], P, 0.0)
+    _set_velocity(memory[VELOCITY:STOOD], P, 0.0)
     for axis in range(3):
-        P[axis, axis] += settings[4] ** 2 * dt
-        P[3 + axis, 3 + axis] += settings[6 + axis] ** 2 * dt
+        P[axis, axis] += settings[RESTING_WALK] ** 2 * dt
+        P[3 + axis, 3 + axis] += settings[WALK + axis] ** 2 * dt
     _update_direct(error, P, 3, rate - bias, variance)
 
 
@@ -206,7 +216,7 @@ def told_covariance(R: Matrix, P: Matrix, memory: Vector) -> Matrix:
     told = P[:6, :6].copy()
     for i in range(3):
         for j in range(3):
-            told[i, j] += memory[15] * R[2, i] * R[2, j]
+            told[i, j] += memory[YAW] * R[2, i] * R[2, j]
     return told
 
 
@@ -225,34 +235,31 @@ def step_attitude(
     still: bool,
     resting: bool,
 ) -> None:
-    """Take one sample.
-
-    `memory` (16,): last rate, mean square of |f| - g, rate before, last dt, last force, velocity,
-    time still, variance of yaw that is kept out of the filter.
-    """
+    """Take one sample."""
     error = np.zeros(SIZE)
-    memory[14] = memory[14] + dt if still else 0.0
+    memory[STOOD] = memory[STOOD] + dt if still else 0.0
     white = force_density**2 / dt
-    radial = np.sqrt(np.sum(force**2)) - settings[5]
-    memory[3] += dt / (RADIAL_TIME + dt) * (radial * radial - memory[3])
+    radial = np.sqrt(np.sum(force**2)) - settings[GRAVITY]
+    memory[RADIAL] += dt / (RADIAL_TIME + dt) * (radial * radial - memory[RADIAL])
     if resting:
         _rest(bias, error, P, memory, settings, dt, rate, rate_density**2 / dt)
-        _gravity_update(R, error, P, force, settings[5], white)
+        _gravity_update(R, error, P, force, settings[GRAVITY], white)
     else:
-        sigma = max(settings[0], np.sqrt(memory[3]))
+        sigma = max(settings[MOTION], np.sqrt(memory[RADIAL]))
         hidden = max(0.0, dt - GAP) ** 2 / dt
-        scale = settings[10] ** 2 * np.sqrt(settings[9] / sigma)  # (5)
+        scale = settings[SCALE] ** 2 * np.sqrt(settings[REACH] / sigma)  # (5)
         yawing = scale * np.sum((rate - bias) * R[2]) ** 2
         tilting = scale * np.sum((rate - bias) ** 2) - yawing
-        unseen = min(hidden * settings[3] ** 2, LINEAR**2 / dt)
-        memory[15] += (hidden * settings[3] ** 2 - unseen) * dt
+        feared = hidden * settings[MOTION_RATE] ** 2
+        unseen = min(feared, LINEAR**2 / dt)
+        memory[YAW] += (feared - unseen) * dt
         rate_psd = rate_density**2 + (unseen + yawing)
-        force_psd = np.mean(force_density**2) + hidden * settings[0] ** 2
+        force_psd = np.mean(force_density**2) + hidden * settings[MOTION] ** 2
         _advance(R, bias, P, memory, settings, dt, rate, force, rate_psd, tilting, force_psd)
         _correct_moving(R, bias, error, P, memory, settings, dt, rate, force, white, sigma)
     R[:] = renormalise(product(R, exp_so3(error[:3])))  # (13)
     bias += error[3:6]
-    memory[11:14] += error[6:9]
+    memory[VELOCITY:STOOD] += error[6:9]
     transform_block(P, exp_so3(-error[:3]), 0)
-    memory[4:7], memory[7] = memory[:3], dt
-    memory[:3], memory[8:11] = rate, force
+    memory[RATE_BEFORE:DT_BEFORE], memory[DT_BEFORE] = memory[RATE:RADIAL], dt
+    memory[RATE:RADIAL], memory[FORCE:VELOCITY] = rate, force

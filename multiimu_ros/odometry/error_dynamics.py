@@ -10,7 +10,27 @@ import numpy as np
 from multiimu_ros.arrays import Matrix, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.attitude_steps import GAP, LINEAR, OUTAGE
-from multiimu_ros.odometry.error_updates import begin_rest, LEARNT, update
+from multiimu_ros.odometry.error_fields import (
+    DT_BEFORE,
+    FORCE,
+    FORCE_BEFORE,
+    FORCE_SCALE,
+    GRAVITY,
+    LEARNT,
+    MOTION_FORCE,
+    MOTION_RATE,
+    MOVED,
+    RATE,
+    RATE_BEFORE,
+    RATE_SCALE,
+    RESTED,
+    RESTING_SIGMA,
+    RESTING_WALK,
+    ROLLING_ARM,
+    STOOD,
+    WALKS,
+)
+from multiimu_ros.odometry.error_updates import begin_rest, update
 from multiimu_ros.odometry.kalman import propagate
 from multiimu_ros.odometry.strapdown import curvature, increments
 from multiimu_ros.rotations import exp_so3, product, renormalise, right_jacobian, skew
@@ -142,25 +162,28 @@ def predict(
     resting: bool,
 ) -> Matrix:
     """Move x, R and P on by `dt`, to the newest sample; return F (15, 15) of this step."""
-    walks = settings[9:15] ** 2
+    walks = settings[WALKS:ROLLING_ARM] ** 2
     if resting:
-        return _hold(x, P, settings[3] ** 2, settings[4] ** 2 * dt, walks * dt)
+        tremor, tilting = settings[RESTING_SIGMA] ** 2, settings[RESTING_WALK] ** 2 * dt
+        return _hold(x, P, tremor, tilting, walks * dt)
     hidden = max(0.0, dt - GAP) ** 2 / dt
-    rate_psd = rate_density**2 + min(hidden * settings[5] ** 2, LINEAR**2 / dt)
-    force_psd = force_density**2 + hidden * settings[6] ** 2
+    rate_psd = rate_density**2 + min(hidden * settings[MOTION_RATE] ** 2, LINEAR**2 / dt)
+    force_psd = force_density**2 + hidden * settings[MOTION_FORCE] ** 2
     learnt = np.exp(memory[LEARNT]) * dt
-    rate_psd = rate_psd + learnt * settings[7] ** 2 * np.sum((rate - x[9:12]) ** 2)
-    force_psd = force_psd + learnt * settings[8] ** 2 * np.sum((force - settings[0] * R[2]) ** 2)
+    rate_psd = rate_psd + learnt * settings[RATE_SCALE] ** 2 * np.sum((rate - x[9:12]) ** 2)
+    motion = force - settings[GRAVITY] * R[2]
+    force_psd = force_psd + learnt * settings[FORCE_SCALE] ** 2 * np.sum(motion**2)
     R0 = R.copy()
     if dt > OUTAGE:
-        phi = dt * (0.5 * (memory[:3] + rate) - x[9:12])
-        F = _coast(x, R, P, phi * (1.0 - memory[6]), dt)  # what rested most likely still does
+        phi = dt * (0.5 * (memory[RATE:FORCE] + rate) - x[9:12])
+        F = _coast(x, R, P, phi * (1.0 - memory[RESTED]), dt)  # what rested most likely still does
     else:
-        turn = curvature(memory[8:11], memory[:3], rate, memory[14], dt)
-        push = curvature(memory[11:14], memory[3:6], force, memory[14], dt)
+        rate0, force0, before = memory[RATE:FORCE], memory[FORCE:RESTED], memory[DT_BEFORE]
+        turn = curvature(memory[RATE_BEFORE:FORCE_BEFORE], rate0, rate, before, dt)
+        push = curvature(memory[FORCE_BEFORE:DT_BEFORE], force0, force, before, dt)
         F = _move(
-            x, R, P, memory[:3] + turn, memory[3:6] + push, rate + turn, force + push,
-            dt, settings[0],
+            x, R, P, rate0 + turn, force0 + push, rate + turn, force + push,
+            dt, settings[GRAVITY],
         )  # fmt: skip
     _add_noise(P, R0, rate_psd, force_psd, walks, dt)
     return F
@@ -170,17 +193,12 @@ def predict(
 def remember(
     memory: Vector, dt: float, rate: Vector, force: Vector, still: bool, resting: bool
 ) -> None:
-    """Keep the newest sample in `memory` (23,).
-
-    These are: last rate, force, whether resting, time still; rate and force before, last dt; then
-    what `learn_swing` needs: its logarithm, what a stance has corrected the velocity by (3) and
-    was expected to, the fastest square of the speed since the last stance, time moving; square of
-    the rate that counts against a stance.
-    """
-    memory[7] = memory[7] + dt if still else 0.0
-    memory[21] = 0.0 if still else memory[21] + dt
-    memory[8:14], memory[14] = memory[:6], dt
-    memory[:3], memory[3:6], memory[6] = rate, force, 1.0 if resting else 0.0
+    """Keep the newest sample in `memory` (MEMORY,)."""
+    memory[STOOD] = memory[STOOD] + dt if still else 0.0
+    memory[MOVED] = 0.0 if still else memory[MOVED] + dt
+    memory[RATE_BEFORE:DT_BEFORE], memory[DT_BEFORE] = memory[RATE:RESTED], dt
+    memory[RATE:FORCE], memory[FORCE:RESTED] = rate, force
+    memory[RESTED] = 1.0 if resting else 0.0
 
 
 @compiled

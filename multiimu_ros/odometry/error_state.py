@@ -20,6 +20,7 @@ import numpy as np
 
 from multiimu_ros.arrays import as_vector, Matrix, Vector
 from multiimu_ros.compiled import compiled
+from multiimu_ros.odometry import error_fields as fields
 from multiimu_ros.odometry.error_dynamics import step
 from multiimu_ros.odometry.error_updates import align
 from multiimu_ros.odometry.rest import RestBuffer, Sample
@@ -41,12 +42,13 @@ class ErrorStateConfig:
     zero_velocity_time : float
         How long that velocity stays correlated [s].
     rolling_arm : float
-        Distance to the point about which a still rig may roll [m], as far as it is not known;
-        a rig that rolls learns no gyro bias and no yaw from being still.
+        Distance to the point about which a still rig may roll [m], as far as it is not known.
     rolling_height : float
         How high above that point the rig is in any case [m].
     settling_time : float
         How long the rate at which a stance began counts against it [s].
+    stances_teach : bool
+        Whether being still tells of gyro bias and yaw, or only of position, velocity and tilt.
     motion_sigma : float
         Acceleration of a moving rig, for a start in motion and for gaps [m/s^2].
     motion_velocity_sigma : float
@@ -80,6 +82,7 @@ class ErrorStateConfig:
     rolling_arm: float = 0.0
     rolling_height: float = 0.0
     settling_time: float = 0.0
+    stances_teach: bool = True
     rate_scale_sigma: float = 0.0
     force_scale_sigma: float = 0.0
     learning_strides: float = 0.0
@@ -95,35 +98,42 @@ class ErrorStateConfig:
                 raise ValueError(msg)
 
 
+def settings_of(config: ErrorStateConfig) -> Vector:
+    """Return the settings (SETTINGS,) as the kernels take them."""
+    settings = np.empty(fields.SETTINGS)
+    settings[fields.GRAVITY] = config.gravity
+    settings[fields.STANCE_SIGMA] = config.zero_velocity_sigma
+    settings[fields.STANCE_TIME] = config.zero_velocity_time
+    settings[fields.RESTING_SIGMA] = config.resting_velocity_sigma
+    settings[fields.RESTING_WALK] = config.resting_walk
+    settings[fields.MOTION_RATE] = config.motion_rate_sigma
+    settings[fields.MOTION_FORCE] = config.motion_sigma
+    settings[fields.RATE_SCALE] = config.rate_scale_sigma
+    settings[fields.FORCE_SCALE] = config.force_scale_sigma
+    walks = (
+        as_vector(config.rate_bias_walk, 'rate_bias_walk'),
+        as_vector(config.force_bias_walk, 'force_bias_walk'),
+    )
+    settings[fields.WALKS : fields.ROLLING_ARM] = np.concatenate(walks)
+    settings[fields.ROLLING_ARM] = config.rolling_arm
+    settings[fields.LEARNING_STRIDES] = config.learning_strides
+    settings[fields.ROLLING_HEIGHT] = config.rolling_height
+    settings[fields.SETTLING_TIME] = config.settling_time
+    settings[fields.STANCES_TEACH] = config.stances_teach
+    return settings
+
+
 class ErrorStateFilter:
     """Position, velocity, attitude and biases of one (virtual) IMU, with covariance."""
 
     def __init__(self, config: ErrorStateConfig) -> None:
         self._config = config
-        self._settings = np.array(
-            [
-                config.gravity,
-                config.zero_velocity_sigma,
-                config.zero_velocity_time,
-                config.resting_velocity_sigma,
-                config.resting_walk,
-                config.motion_rate_sigma,
-                config.motion_sigma,
-                config.rate_scale_sigma,
-                config.force_scale_sigma,
-                *as_vector(config.rate_bias_walk, 'rate_bias_walk'),
-                *as_vector(config.force_bias_walk, 'force_bias_walk'),
-                config.rolling_arm,
-                config.learning_strides,
-                config.rolling_height,
-                config.settling_time,
-            ]
-        )
+        self._settings = settings_of(config)
         self._x = np.zeros(15)
         self._R = np.eye(3)
         sigmas = (np.zeros(6), np.ones(3), config.rate_bias_sigma, config.force_bias_sigma)
         self._P = np.diag(np.square(np.concatenate(sigmas)))
-        self._memory = np.zeros(23)
+        self._memory = np.zeros(fields.MEMORY)
         self._aligned = self._started = False
         self._rest = RestBuffer(config.resting_lag)
 
@@ -225,7 +235,7 @@ class ErrorStateFilter:
             )
         if not self._started:
             self._memory[:] = 0.0
-            self._memory[:6] = (*sample.angular_rate, *sample.specific_force)
+            self._memory[: fields.RESTED] = (*sample.angular_rate, *sample.specific_force)
             self._started = True
             return
         step(self._x, self._R, self._P, self._memory, self._settings, *sample)

@@ -9,6 +9,26 @@ import numpy as np
 from multiimu_ros.arrays import Matrix, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.attitude_steps import CONFIRMED, CREDIBLE_SQUARE, level, OUTAGE
+from multiimu_ros.odometry.error_fields import (
+    CORRECTED,
+    EXPECTED,
+    FASTEST,
+    GRAVITY,
+    LEARNING_STRIDES,
+    LEARNT,
+    MOTION_FORCE,
+    MOVED,
+    RESTED,
+    RESTING_SIGMA,
+    ROLLING_ARM,
+    ROLLING_HEIGHT,
+    SETTLING_TIME,
+    STANCE_SIGMA,
+    STANCE_TIME,
+    STANCES_TEACH,
+    STOOD,
+    TURNED,
+)
 from multiimu_ros.odometry.kalman import (
     correct,
     innovate,
@@ -22,9 +42,6 @@ SLOWED_SQUARE = 0.25  # a stance begins below half of the greatest speed since t
 SWING = 0.03  # [s] a shorter one is a stance in which the detector wavered
 SURPRISE = 4.0  # a stance whose correction is worse than this is itself a fault
 LEAST_LEARNT = -9.2  # ln 1e-4: below a hundredth of the profile's errors they do not matter
-# Fields of the memory: logarithm of what a swing adds to the velocity's variance; square of the
-# rate that counts against the present stance.
-LEARNT, TURNED = 15, 22
 
 
 @compiled
@@ -61,12 +78,13 @@ def _inject(x: Vector, R: Matrix, P: Matrix, error: Vector) -> None:
 
 @compiled
 def _see_stance(
-    error: Vector, P: Matrix, up: Vector, residual: Vector, variance: float, rolls: bool
+    error: Vector, P: Matrix, up: Vector, residual: Vector, variance: float, teaches: bool
 ) -> None:
     """Correct by the velocity of a stance; `up` (3,) is the vertical in the body frame.
 
     What each swing leaves again (scale, g-sensitivity, bandwidth) would pass for gyro bias and
-    yaw, of which stances tell nothing by themselves.  A foot that rolls only considers these.
+    yaw, of which stances tell nothing by themselves.  Unless a stance `teaches`, these are only
+    considered.
     """
     for axis in range(3):
         h = np.zeros(15)
@@ -74,7 +92,7 @@ def _see_stance(
         a, s, innovation = innovate(error, P, h, residual[axis], variance)
         if s > 0.0:
             K = a / s
-            if rolls:
+            if not teaches:
                 K[6:9] -= up * np.sum(up * K[6:9])
                 K[9:12] = 0.0
             correct(error, P, K, a, s, innovation)
@@ -88,26 +106,24 @@ def _see_velocity(
     memory: Vector,
     velocity: Vector,
     variance: float,
-    rolls: bool,
+    teaches: bool,
 ) -> None:
     """Give the rig this velocity (3,), and note for `_learn_swing` by how much it was off."""
     error = np.zeros(15)
     before = P[3, 3] + P[4, 4] + P[5, 5]
-    _see_stance(error, P, R[2].copy(), velocity - x[3:6], variance, rolls)
-    memory[16:19] += error[3:6]
-    memory[19] += before - P[3, 3] - P[4, 4] - P[5, 5]
+    _see_stance(error, P, R[2].copy(), velocity - x[3:6], variance, teaches)
+    memory[CORRECTED:EXPECTED] += error[3:6]
+    memory[EXPECTED] += before - P[3, 3] - P[4, 4] - P[5, 5]
     _inject(x, R, P, error)
 
 
 @compiled
 def _credible(x: Vector, P: Matrix, memory: Vector, variance: float) -> bool:
-    """Say whether the rig could stand, going by the uncertainty of its speed and by that before.
-
-    `memory[20]` is the fastest square since the last stance, -1 once the stance has begun.
-    """
+    """Say whether the rig could stand, by the uncertainty of its speed and by how fast it was."""
     expected = P[3, 3] + P[4, 4] + P[5, 5] + 3.0 * variance
     square = x[3] ** 2 + x[4] ** 2 + x[5] ** 2
-    slowed = memory[20] < 0.0 or square <= max(SLOWED_SQUARE * memory[20], expected / 3.0)
+    slow = max(SLOWED_SQUARE * memory[FASTEST], expected / 3.0)
+    slowed = memory[FASTEST] < 0.0 or square <= slow
     return bool(slowed and square < CREDIBLE_SQUARE * expected)
 
 
@@ -115,10 +131,11 @@ def _credible(x: Vector, P: Matrix, memory: Vector, variance: float) -> bool:
 def _learn_swing(memory: Vector, strides: float) -> None:
     """After a stance, learn how large the errors of a swing are (error_state.md (13))."""
     if strides > 0.0:
-        surprise = np.sum(memory[16:19] ** 2) / memory[19]
+        surprise = np.sum(memory[CORRECTED:EXPECTED] ** 2) / memory[EXPECTED]
         learnt = memory[LEARNT] + np.log1p((min(surprise, SURPRISE) - 1.0) / strides)
         memory[LEARNT] = max(learnt, LEAST_LEARNT)
-    memory[16:20] = 0.0
+    memory[CORRECTED:EXPECTED] = 0.0
+    memory[EXPECTED] = 0.0
 
 
 @compiled
@@ -144,9 +161,10 @@ def begin_rest(
     x: Vector, R: Matrix, P: Matrix, memory: Vector, settings: Vector, dt: float, resting: bool
 ) -> None:
     """Where a rest begins, use the last of what the velocity tells about the other states."""
-    if resting and memory[6] == 0.0:
-        variance = white_equivalent(settings[3], settings[2], dt)
-        _see_velocity(x, R, P, memory, np.zeros(3), variance, settings[15] > 0.0)
+    if resting and memory[RESTED] == 0.0:
+        variance = white_equivalent(settings[RESTING_SIGMA], settings[STANCE_TIME], dt)
+        teaches = settings[STANCES_TEACH] > 0.0
+        _see_velocity(x, R, P, memory, np.zeros(3), variance, teaches)
 
 
 @compiled
@@ -165,7 +183,7 @@ def update(
     resting: bool,
 ) -> None:
     """Correct x, R and P by what the newest sample tells."""
-    gravity = settings[0]
+    gravity = settings[GRAVITY]
     if resting:
         # What a rest tells of biases and tilt could move the position in retrospect; whoever
         # looks on would see a standing rig move, so it is only considered.
@@ -178,19 +196,20 @@ def update(
     if dt > OUTAGE:  # level anew what may have been tilted unseen, as at the start
         error = np.zeros(15)
         residual = force - x[12:15] - gravity * R[2]
-        variance = force_density**2 / dt + settings[6] ** 2
+        variance = force_density**2 / dt + settings[MOTION_FORCE] ** 2
         _update_gravity(error, P, R, residual, variance, gravity)
         _inject(x, R, P, error)
     turn = rate - x[9:12]
+    fades = settings[SETTLING_TIME] > 0.0
     # The heel comes down before the sole: the rate at which a stance began counts for a while.
-    fading = memory[TURNED] * np.exp(-dt / settings[18]) if still and settings[18] > 0.0 else 0.0
-    memory[TURNED] = max(np.sum(turn**2), fading)
+    memory[TURNED] *= np.exp(-dt / settings[SETTLING_TIME]) if still and fades else 0.0
+    memory[TURNED] = max(np.sum(turn**2), memory[TURNED])
     if still:
         _stand(x, R, P, memory, settings, dt, turn)
     else:
-        memory[20] = max(memory[20], np.sum(x[3:6] ** 2))
-        if memory[19] > 0.0 and memory[21] > SWING:
-            _learn_swing(memory, settings[16])
+        memory[FASTEST] = max(memory[FASTEST], np.sum(x[3:6] ** 2))
+        if memory[EXPECTED] > 0.0 and memory[MOVED] > SWING:
+            _learn_swing(memory, settings[LEARNING_STRIDES])
 
 
 @compiled
@@ -198,10 +217,10 @@ def _stand(
     x: Vector, R: Matrix, P: Matrix, memory: Vector, settings: Vector, dt: float, turn: Vector
 ) -> None:
     """Correct by a stance, if it is to be believed: a foot rolls about a point below the IMU."""
-    sigma = np.sqrt(settings[1] ** 2 + settings[15] ** 2 * memory[TURNED])
-    variance = white_equivalent(sigma, settings[2], dt)
-    if memory[7] > CONFIRMED or _credible(x, P, memory, variance):
+    sigma = np.sqrt(settings[STANCE_SIGMA] ** 2 + settings[ROLLING_ARM] ** 2 * memory[TURNED])
+    variance = white_equivalent(sigma, settings[STANCE_TIME], dt)
+    if memory[STOOD] > CONFIRMED or _credible(x, P, memory, variance):
         turn_n = R @ turn
-        velocity = settings[17] * np.array([turn_n[1], -turn_n[0], 0.0])
-        _see_velocity(x, R, P, memory, velocity, variance, settings[15] > 0.0)
-        memory[20] = -1.0
+        velocity = settings[ROLLING_HEIGHT] * np.array([turn_n[1], -turn_n[0], 0.0])
+        _see_velocity(x, R, P, memory, velocity, variance, settings[STANCES_TEACH] > 0.0)
+        memory[FASTEST] = -1.0

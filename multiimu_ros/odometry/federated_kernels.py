@@ -9,6 +9,7 @@ import numpy as np
 
 from multiimu_ros.arrays import Matrix, Vector, Vectors
 from multiimu_ros.compiled import compiled
+from multiimu_ros.odometry import error_fields as fields
 from multiimu_ros.odometry.attitude_steps import LINEAR, OUTAGE
 from multiimu_ros.odometry.error_dynamics import predict, remember
 from multiimu_ros.odometry.error_updates import begin_rest, update
@@ -54,7 +55,7 @@ def step_local(
     turns = not resting and dt <= OUTAGE
     begin_rest(x, R, P, memory, settings, dt, resting)
     if turns:
-        _to_arm(x, R, memory[:3], arm, 1.0)
+        _to_arm(x, R, memory[fields.RATE : fields.FORCE], arm, 1.0)
     predict(x, R, P, memory, settings, dt, rate, force, rate_density, force_density, resting)
     if turns:
         _to_arm(x, R, rate, arm, -1.0)
@@ -78,14 +79,14 @@ def _shift(x_f: Vector, R_f: Matrix, d: Vector) -> None:
 
 
 @compiled
-def share_out(track: Vectors, P: Matrix, settings: Vectors, base: Vectors, walks: Vector) -> None:
+def share_out(track: Vectors, P: Matrix, settings: Vectors, walks: Vectors) -> None:
     """Share out among the members: what is an IMU's own counts by its share (4), (5).
 
-    `base` (K, S) are the settings of each filter alone, `walks` (S,) is 1 for its bias walks.
+    `settings` (K, SETTINGS) are those of the filters, `walks` (K, 6) of the IMUs' own biases.
     """
     for i in range(len(track)):
         before, share = track[i, SHARE], own_share(track, i)
-        settings[i] = base[i] * share ** (0.5 * walks)
+        settings[i, fields.WALKS : fields.ROLLING_ARM] = np.sqrt(share) * walks[i]
         track[i, SHARE] = share if track[i, STATUS] == MEMBER else 0.0
         if 0.0 < before < track[i, SHARE]:
             P[i] *= share / before
@@ -225,16 +226,16 @@ def take_over(track: Vectors, P_f: Matrix, settings: Vector) -> None:
             silent = track[i, WAITED] if silent == 0.0 else min(silent, track[i, WAITED])
             track[i, STATUS], track[i, AGREED] = OUT, 0.0
     for axis in range(3):
-        P_f[axis, axis] += (0.5 * settings[6] * silent * silent) ** 2
-        P_f[3 + axis, 3 + axis] += (settings[6] * silent) ** 2
-        P_f[6 + axis, 6 + axis] += min(settings[5] * silent, LINEAR) ** 2
+        P_f[axis, axis] += (0.5 * settings[fields.MOTION_FORCE] * silent * silent) ** 2
+        P_f[3 + axis, 3 + axis] += (settings[fields.MOTION_FORCE] * silent) ** 2
+        P_f[6 + axis, 6 + axis] += min(settings[fields.MOTION_RATE] * silent, LINEAR) ** 2
 
 
 @compiled
 def scan_step(
     x: Vectors, R: Matrix, P: Matrix, memory: Vectors, settings: Vectors, track: Vectors,
-    offsets: Vectors, x_f: Vector, R_f: Matrix, P_f: Matrix, arms: Vectors, base: Vectors,
-    walks: Vector, start: Vectors, start_P: Vectors,
+    offsets: Vectors, x_f: Vector, R_f: Matrix, P_f: Matrix, arms: Vectors, walks: Vectors,
+    start: Vectors, start_P: Vectors,
     dt: float, values: Vectors, density: Vectors, still: bool, resting: bool,
 ) -> None:  # fmt: skip
     """Take one scan: `values` (K, 6) with NaN where an IMU is missing."""
@@ -262,7 +263,7 @@ def scan_step(
     fuse(x, R, P, track, offsets, x_f, R_f, P_f)
     changed = exclude(P, track, offsets, P_f, members, heard)
     if heard == 0:
-        changed = _replace(x, R, P, track, x_f, R_f, P_f, base, start, start_P, offsets)
+        changed = _replace(x, R, P, track, x_f, R_f, P_f, settings, start, start_P, offsets)
     else:
         for i in range(len(x)):
             if track[i, STATUS] != MEMBER and track[i, WAITED] == 0.0 and not changed:
@@ -270,7 +271,7 @@ def scan_step(
                     x, R, P, track, offsets, x_f, R_f, P_f, start, start_P, i, dt
                 )  # fmt: skip
     if changed:
-        share_out(track, P, settings, base, walks)
+        share_out(track, P, settings, walks)
         recentre(track, offsets, x_f, R_f)
         fuse(x, R, P, track, offsets, x_f, R_f, P_f)
 
@@ -278,7 +279,7 @@ def scan_step(
 @compiled
 def _replace(
     x: Vectors, R: Matrix, P: Matrix, track: Vectors, x_f: Vector, R_f: Matrix, P_f: Matrix,
-    base: Vectors, start: Vectors, start_P: Vectors, offsets: Vectors,
+    settings: Vectors, start: Vectors, start_P: Vectors, offsets: Vectors,
 ) -> bool:  # fmt: skip
     """Let those that are heard take the place of members that are not; say whether they do."""
     total = 0.0
@@ -289,7 +290,7 @@ def _replace(
             total += track[i, NOMINAL]
     if total == 0.0:
         return False
-    take_over(track, P_f, base[0])
+    take_over(track, P_f, settings[0])
     for i in range(len(track)):
         offsets[i] = 0.0
         if track[i, WAITED] == 0.0:

@@ -19,13 +19,13 @@ of the master and is watched before it counts.  docs/derivations/federated_odome
 """
 
 from collections import deque
-from dataclasses import replace
 
 import numpy as np
 
 from multiimu_ros.arrays import as_vector, as_vectors, Scalars, Vector, Vectors
+from multiimu_ros.odometry.error_fields import LEARNT
 from multiimu_ros.odometry.error_state import ErrorStateConfig, ErrorStateFilter
-from multiimu_ros.odometry.error_updates import align, LEARNT
+from multiimu_ros.odometry.error_updates import align
 from multiimu_ros.odometry.federated_kernels import (
     fuse,
     MEMBER,
@@ -72,10 +72,7 @@ class FederatedOdometry(ErrorStateFilter):
         self._arms = np.ascontiguousarray(as_vectors(lever_arms_b, 'lever_arms_b'))
         count = len(self._arms)
         self._sigma = _rows(bias_sigma, count, 'bias_sigma')
-        walks = _rows(bias_walk, count, 'bias_walk')
-        alike = [replace(config, rate_bias_walk=w[:3], force_bias_walk=w[3:]) for w in walks]
-        self._base = np.stack([ErrorStateFilter(each)._settings for each in alike])
-        self._walk_mask = _walk_mask(alike[0])
+        self._walks = _rows(bias_walk, count, 'bias_walk')
         self._start = np.zeros((count, 6))
         self._start_P = self._sigma**2
         self._track = np.zeros((count, TRACK))
@@ -87,7 +84,7 @@ class FederatedOdometry(ErrorStateFilter):
             np.zeros((count, 15, 15)),
         )
         self._memories = np.zeros((count, len(self._memory)))
-        self._each = self._base.copy()
+        self._each = np.tile(self._settings, (count, 1))
         self._offsets = np.zeros((count, 9))
         self._heard: deque[tuple[Vectors, Vectors]] = deque()
 
@@ -149,7 +146,7 @@ class FederatedOdometry(ErrorStateFilter):
         """Make a member of every IMU whose force (K, 3) is known, levelled by it."""
         x, R, P = self._locals
         self._track[:, STATUS] = np.where(np.isfinite(force.sum(axis=1)), MEMBER, OUT)
-        share_out(self._track, self._locals[2], self._each, self._base, self._walk_mask)
+        share_out(self._track, self._locals[2], self._each, self._walks)
         for k in np.flatnonzero(self._track[:, STATUS] == MEMBER):
             x[k, 9:], P[k] = self._start[k], 0.0
             P[k, 9:, 9:] = self._track[k, SHARE] * np.diag(self._start_P[k])
@@ -194,7 +191,7 @@ class FederatedOdometry(ErrorStateFilter):
             self._memories[:, LEARNT] = learnt[(len(learnt) - 1) // 2]
         scan_step(
             *self._locals, self._memories, self._each, self._track, self._offsets, self._x,
-            self._R, self._P, self._arms, self._base, self._walk_mask, self._start, self._start_P,
+            self._R, self._P, self._arms, self._walks, self._start, self._start_P,
             sample.dt, values, density, sample.still, sample.resting,
         )  # fmt: skip
 
@@ -219,10 +216,3 @@ def _shares(density: Vectors) -> Scalars:
     """Return the shares (K,): the mean of what rates and forces are known by (2)."""
     information = np.stack((density[:, :3] ** -2.0, density[:, 3:] ** -2.0)).sum(axis=2)
     return np.asarray((information / information.sum(axis=1, keepdims=True)).mean(axis=0))
-
-
-def _walk_mask(config: ErrorStateConfig) -> Vector:
-    """Return 1 where a setting of the filter is the walk of a bias, else 0."""
-    none = replace(config, rate_bias_walk=np.zeros(3), force_bias_walk=np.zeros(3))
-    with_walk, without = (ErrorStateFilter(each)._settings for each in (config, none))
-    return np.asarray((with_walk != without).astype(np.float64))

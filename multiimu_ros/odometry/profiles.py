@@ -33,6 +33,7 @@ class Profile:
     rolling_arm: float
     rolling_height: float
     settling_time: float
+    stances_teach: bool
     motion_sigma: float
     motion_reach: float
     motion_velocity_sigma: float
@@ -59,6 +60,7 @@ FOOT = Profile(
     rolling_arm=0.15,
     rolling_height=0.04,
     settling_time=0.03,
+    stances_teach=False,  # what every swing leaves again would pass for a bias
     motion_sigma=5.0,  # rms of a swing phase
     motion_reach=0.4,  # within a stride of 1.4 m
     motion_velocity_sigma=1.5,  # mean over a stride of a walk at 1.4 m/s
@@ -82,6 +84,7 @@ HAND = Profile(
     rolling_arm=0.0,  # it does not roll
     rolling_height=0.0,
     settling_time=0.0,
+    stances_teach=True,
     motion_sigma=0.5,  # slow handling; fast handling is seen in | |f| - g |
     motion_reach=0.1,  # an arm sways by a decimetre or two
     motion_velocity_sigma=0.5,
@@ -103,6 +106,7 @@ VEHICLE = Profile(
     rolling_arm=0.0,
     rolling_height=0.0,
     settling_time=0.0,
+    stances_teach=True,
     motion_sigma=1.0,  # braking and turning, most of it level and unseen in | |f| - g |
     motion_reach=100.0,  # 10 m/s that end after 10 s
     motion_velocity_sigma=10.0,
@@ -178,6 +182,7 @@ def odometry_configs(
         rolling_arm=profile.rolling_arm,
         rolling_height=profile.rolling_height,
         settling_time=profile.settling_time,
+        stances_teach=profile.stances_teach,
         motion_sigma=profile.motion_sigma,
         motion_velocity_sigma=profile.motion_velocity_sigma,
         rate_scale_sigma=profile.rate_scale_sigma,

@@ -20,6 +20,7 @@ from multiimu_ros.arrays import as_vectors, Flags, Matrix, Scalars, Vector, Vect
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.attitude import level, OUTAGE
 from multiimu_ros.odometry.error_dynamics import predict, remember
+from multiimu_ros.odometry.error_fields import FORCE, RATE
 from multiimu_ros.odometry.error_state import ErrorStateConfig, ErrorStateFilter
 from multiimu_ros.odometry.error_updates import align
 from multiimu_ros.odometry.rest import Sample
@@ -61,7 +62,7 @@ def seed_step(
         x.copy(), R.copy(), P, memory, settings, dt, rate, force, rate_density, force_density,
         False,
     )  # fmt: skip
-    R[:] = rk4_step(R, 0.5 * (memory[:3] + rate) - x[9:12], dt)
+    R[:] = rk4_step(R, 0.5 * (memory[RATE:FORCE] + rate) - x[9:12], dt)
     before = own[:3].copy()
     own[:3] = R @ (force - x[12:15])
     own[2] -= gravity

@@ -9,6 +9,7 @@ import numpy as np
 from multiimu_ros.arrays import Flags, Matrix, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.odometry.error_dynamics import predict, remember
+from multiimu_ros.odometry.error_fields import GRAVITY
 from multiimu_ros.odometry.error_updates import begin_rest, update
 from multiimu_ros.odometry.kalman import scalar_update, transform_block
 from multiimu_ros.rotations import exp_so3, log_so3, product, renormalise, skew
@@ -109,8 +110,9 @@ def run_forward(
         tape_P[k, TRANSITION], tape_P[k, NOISE] = F, noise
         if resting:
             see_rest(
-                x, R, P, settings[0], rate, force, rate_density**2 / dt, force_density**2 / dt
-            )
+                x, R, P, settings[GRAVITY],
+                rate, force, rate_density**2 / dt, force_density**2 / dt,
+            )  # fmt: skip
         else:
             update(
                 x, R, P, memory, settings, dt,

@@ -49,6 +49,12 @@ CAPACITY = 512  # samples kept for the window: 0.25 s at 2 kHz
 SHORTEST = 5  # samples of the shortest window, that of [1]_
 RESTING_THRESHOLD = 12.0  # of rest, twice what noise alone scores
 
+# Settings, those of `GlrtConfig`; TREMOR and LASTING are two squares each, of rate and force.
+DETECTOR, RATE_BIAS, MAGNITUDE, THRESHOLD, WINDOW, GRAVITY, RESTING_TIME, TREMOR = range(8)
+LASTING, SHARE, ATTACK, DECAY, LOW_TIME = 9, 11, 12, 13, 14
+# State: samples so far, how long calm, level of the motion, how long the rate has been low.
+COUNT, CALM, LEVEL, LOW = range(4)
+
 
 @dataclass(frozen=True, kw_only=True)
 class GlrtConfig:
@@ -165,40 +171,40 @@ def detect(
     rate_density: Vector,
     force_density: Vector,
 ) -> tuple[bool, bool]:
-    """Add one sample; `state` (4,) is samples so far, time calm, level of motion, time low."""
-    detector, gravity, share = int(settings[0]), settings[5], settings[11]
+    """Add one sample; say whether the rig is still, and whether it rests."""
+    detector, gravity, share = int(settings[DETECTOR]), settings[GRAVITY], settings[SHARE]
     if detector == NONE:
         return False, False
-    if dt > 2.0 * settings[4] + 0.1:
+    if dt > 2.0 * settings[WINDOW] + 0.1:
         state[:] = 0.0  # after a gap, old samples say nothing about the present
-    newest = int(state[0]) % CAPACITY
+    newest = int(state[COUNT]) % CAPACITY
     samples[newest, :3], samples[newest, 3:], steps[newest] = rate, force, dt
-    state[0] += 1.0
-    window = _window_length(steps, newest, min(int(state[0]), CAPACITY), settings[4])
+    state[COUNT] += 1.0
+    window = _window_length(steps, newest, min(int(state[COUNT]), CAPACITY), settings[WINDOW])
     if window == 0:
         return False, False
     moments = moments_of(samples, newest, window)
     noise = np.array([np.mean(rate_density**2), np.mean(force_density**2)]) / dt
-    tremor, lasting = settings[7:9], settings[9:11]
-    law = law_of(lasting, noise, settings[1], settings[2])
+    tremor, lasting = settings[TREMOR:LASTING], settings[LASTING:SHARE]
+    law = law_of(lasting, noise, settings[RATE_BIAS], settings[MAGNITUDE])
     calm = glrt(moments, window, law, gravity) < RESTING_THRESHOLD and means_pass(
         moments, window, lasting, noise, law, gravity
     )
-    law = law_of(tremor, noise, settings[1], settings[2])
+    law = law_of(tremor, noise, settings[RATE_BIAS], settings[MAGNITUDE])
     value = score(detector, moments, rate, window, law, gravity)
     if share > 0.0:
         if np.isfinite(value):
-            state[2] = follow(state[2], value, dt, settings[12], settings[13])
-        still = value < (share * state[2]) ** 2
+            state[LEVEL] = follow(state[LEVEL], value, dt, settings[ATTACK], settings[DECAY])
+        still = value < (share * state[LEVEL]) ** 2
     else:
-        still = value < settings[3] and (
+        still = value < settings[THRESHOLD] and (
             detector != GLRT or means_pass(moments, window, tremor, noise, law, gravity)
         )
     if detector == GYRO:
-        state[3] = state[3] + dt if still else 0.0
-        still = state[3] >= settings[14]
-    state[1] = state[1] + dt if calm else 0.0
-    return still or calm, calm and state[1] >= settings[6]
+        state[LOW] = state[LOW] + dt if still else 0.0
+        still = state[LOW] >= settings[LOW_TIME]
+    state[CALM] = state[CALM] + dt if calm else 0.0
+    return still or calm, calm and state[CALM] >= settings[RESTING_TIME]
 
 
 class StillnessDetector:
