@@ -9,6 +9,7 @@ import threading
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
+from diagnostics_page import told
 from ptys import PluggedPort, wait_until
 import pytest
 import rclpy
@@ -117,6 +118,9 @@ def test_bytes_become_messages(device, executor, make, tmp_path):
     assert abs(msg.header.stamp.sec - time.time()) < 20  # the stamp is host time
     assert listener.temperature[0].temperature == 23.5
     assert listener.statuses['driver: board'].message == 'connected'
+    for part, name in (('board', 'board'), ('imu<k>', 'imu3')):
+        said = sorted(pair.key for pair in listener.statuses[f'driver: {name}'].values)
+        assert told(f'driver: {part}') == said
     driver.destroy_node()
     board = Board()
     kept = [s for arrival_ns, data in read_capture(capture) for s in board.push(data, arrival_ns)]

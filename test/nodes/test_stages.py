@@ -3,6 +3,7 @@
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray
+from diagnostics_page import told
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -115,6 +116,12 @@ def test_what_is_not_a_number_is_never_published(rig_file):
     assert np.isfinite([imu_values(answer) for answer in answers]).all()
 
 
+def figures(said):
+    """Return the names of the figures of each status that was said."""
+    lines = [line for array in said for line in array.status]
+    return {line.name: sorted(value.key for value in line.values) for line in lines}
+
+
 def test_diagnostics_tell_who_has_met_whom(rig_file):
     def ends():
         lines = [line for array in said for line in array.status]
@@ -128,6 +135,9 @@ def test_diagnostics_tell_who_has_met_whom(rig_file):
         peer.collect(ImuMessage, 'imu0/data_calibrated')
         peer.wait_for_matches(['imu0/data_raw'], ['imu0/data_calibrated'])
         peer.wait_until(lambda: ends() == ('1', '1'), 5.0)
+        peer.wait_until(lambda: 'calibration: node' in figures(said), 5.0)
+    assert told('calibration: imu<k>') == figures(said)['calibration: imu0']
+    assert told('node') == figures(said)['calibration: node']
 
 
 @pytest.mark.parametrize('name', ['calibration', 'registration', 'fusion'])

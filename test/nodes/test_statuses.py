@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+from diagnostics_page import told
 import numpy as np
 import pytest
 
@@ -46,6 +47,12 @@ def test_one_is_named_with_all_that_it_is_off_by():
     )
     assert sick.figures['rate beside the others [deg/s]'] == pytest.approx(0.31, rel=1e-3)
     assert (fusion.level, fusion.message) == (OK, 'ok')
+
+
+def test_the_page_tells_of_every_figure():
+    fusion, imu = statuses(('ok', {}))
+    assert told('fusion: fusion') == sorted(fusion.figures)
+    assert told('fusion: imu<k>') == sorted(imu.figures)
 
 
 def test_of_two_both_are_named_and_neither_is_left_out():
