@@ -13,8 +13,7 @@ from multiimu_ros.fusion.rig_model import (
     RigModel,
 )
 from multiimu_ros.navigation import Navigator
-from multiimu_ros.odometry.attitude import AttitudeConfig, AttitudeFilter
-from multiimu_ros.odometry.attitude_baseline import BaselineAttitude
+from multiimu_ros.odometry.attitude import AttitudeConfig, AttitudeEstimator, AttitudeFilter
 from multiimu_ros.odometry.error_state import ErrorStateConfig, ErrorStateFilter
 from multiimu_ros.odometry.federated_odometry import FederatedOdometry
 from multiimu_ros.odometry.madgwick import MadgwickAttitude
@@ -27,7 +26,7 @@ from multiimu_ros.registration.transform import mounting
 from multiimu_ros.rig import Rig
 from multiimu_ros.synchronization.synchronizer import Synchronizer
 
-ATTITUDES: dict[str, Callable[[AttitudeConfig], AttitudeFilter | BaselineAttitude]] = {
+ATTITUDES: dict[str, Callable[[AttitudeConfig], AttitudeEstimator]] = {
     'error_state': AttitudeFilter,
     'rk4': Rk4Attitude,
     'madgwick': MadgwickAttitude,

@@ -13,8 +13,7 @@ import numpy as np
 from multiimu_ros.arrays import Matrix, Stamps, Vector, Vectors
 from multiimu_ros.compiled import compiled
 from multiimu_ros.fused_frame import SIZE, write_record
-from multiimu_ros.odometry.attitude import AttitudeFilter
-from multiimu_ros.odometry.attitude_baseline import BaselineAttitude
+from multiimu_ros.odometry.attitude import AttitudeEstimator, AttitudeFilter
 from multiimu_ros.odometry.attitude_steps import step_attitude, told_covariance
 from multiimu_ros.odometry.error_dynamics import step as step_odometry
 from multiimu_ros.odometry.error_state import ErrorStateConfig, ErrorStateFilter
@@ -134,7 +133,7 @@ class Navigator:
     def __init__(
         self,
         detector: StillnessDetector,
-        attitude: AttitudeFilter | BaselineAttitude,
+        attitude: AttitudeEstimator,
         odometry: ErrorStateFilter,
         resting_lag: float,
     ) -> None:

@@ -13,6 +13,7 @@ without it the filter would believe the tilt that a biased accelerometer shows.
 At rest, for `R_nb` the identity, `specific_force` reads [0, 0, +9.81].
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,37 +91,26 @@ class AttitudeConfig:
                 raise ValueError(msg)
 
 
-class AttitudeFilter:
+class AttitudeEstimator(ABC):
     """Orientation and gyro bias of one (virtual) IMU, with covariance."""
 
-    def __init__(self, config: AttitudeConfig) -> None:
+    def __init__(self, config: AttitudeConfig, P: Matrix, lag: float) -> None:
         self._config = config
-        self._settings = np.array(
-            [
-                config.motion_sigma, config.still_velocity_sigma, config.still_velocity_time,
-                config.motion_rate_sigma, config.resting_walk, config.gravity,
-                *as_vector(config.rate_bias_walk, 'rate_bias_walk'),
-                config.motion_reach, config.rate_scale_sigma, config.rolling_arm,
-            ]
-        )  # fmt: skip
         self._R = np.eye(3)
         self._bias = np.zeros(3)
-        speed = np.full(3, np.sqrt(config.motion_sigma * config.motion_reach))
-        sigmas = (np.ones(3), config.rate_bias_sigma, speed, config.force_bias_sigma)
-        self._P = np.diag(np.square(np.concatenate(sigmas)))
-        self._memory = np.zeros(MEMORY)
-        self._aligned = self._started = False
-        self._rest = RestBuffer(config.resting_lag)
+        self._P = P
+        self._aligned = False
+        self._rest = RestBuffer(lag)
 
     @property
+    @abstractmethod
     def arrays(self) -> tuple[Matrix, Vector, Matrix, Vector, Vector]:
         """What `step_attitude` changes in place, and its settings."""
-        return self._R, self._bias, self._P, self._memory, self._settings
 
     @property
+    @abstractmethod
     def started(self) -> bool:
         """Whether there is a sample to step on from."""
-        return self._started
 
     @property
     def aligned(self) -> bool:
@@ -140,7 +130,7 @@ class AttitudeFilter:
     @property
     def P(self) -> Matrix:
         """Covariance (6, 6) of attitude (body axes) and gyro bias [rad^2], [rad^2/s^2]."""
-        return told_covariance(self._R, self._P, self._memory)
+        return self._P.copy()
 
     def restore_gyro_bias(self, bias: Vector, sigma: Vector) -> None:
         """Start from a saved bias (3,) [rad/s] that is good to `sigma` (3,)."""
@@ -149,6 +139,7 @@ class AttitudeFilter:
         self._P[:, 3:6] = 0.0
         self._P[3:6, 3:6] = np.diag(np.square(as_vector(sigma, 'sigma')))
 
+    @abstractmethod
     def align(self, specific_force: Vector, force_sigma: float) -> None:
         """Set roll and pitch from a force, and yaw to zero.
 
@@ -159,9 +150,6 @@ class AttitudeFilter:
         force_sigma : float
             Its noise and the rig's acceleration, apart from the bias [m/s^2].
         """
-        force = as_vector(specific_force, 'specific_force')
-        align(self._R, self._P, force, np.full(3, force_sigma**2), self._config.gravity)
-        self._aligned = True
 
     def push(self, sample: Sample) -> None:
         """Move on by one sample; rest is learnt from late, as `RestBuffer` says."""
@@ -173,6 +161,52 @@ class AttitudeFilter:
         if not self._aligned:
             sigma = self._config.still_sigma if sample.still else self._config.motion_sigma
             self.align(sample.specific_force, sigma)
+        self._step(sample)
+
+    @abstractmethod
+    def _step(self, sample: Sample) -> None: ...
+
+
+class AttitudeFilter(AttitudeEstimator):
+    """The error-state filter."""
+
+    def __init__(self, config: AttitudeConfig) -> None:
+        self._settings = np.array(
+            [
+                config.motion_sigma, config.still_velocity_sigma, config.still_velocity_time,
+                config.motion_rate_sigma, config.resting_walk, config.gravity,
+                *as_vector(config.rate_bias_walk, 'rate_bias_walk'),
+                config.motion_reach, config.rate_scale_sigma, config.rolling_arm,
+            ]
+        )  # fmt: skip
+        speed = np.full(3, np.sqrt(config.motion_sigma * config.motion_reach))
+        sigmas = (np.ones(3), config.rate_bias_sigma, speed, config.force_bias_sigma)
+        super().__init__(config, np.diag(np.square(np.concatenate(sigmas))), config.resting_lag)
+        self._memory = np.zeros(MEMORY)
+        self._started = False
+
+    @property
+    def arrays(self) -> tuple[Matrix, Vector, Matrix, Vector, Vector]:
+        """What `step_attitude` changes in place, and its settings."""
+        return self._R, self._bias, self._P, self._memory, self._settings
+
+    @property
+    def started(self) -> bool:
+        """Whether there is a sample to step on from."""
+        return self._started
+
+    @property
+    def P(self) -> Matrix:
+        """Covariance (6, 6) of attitude (body axes) and gyro bias [rad^2], [rad^2/s^2]."""
+        return told_covariance(self._R, self._P, self._memory)
+
+    def align(self, specific_force: Vector, force_sigma: float) -> None:
+        """Set roll and pitch from a force, and yaw to zero; see `AttitudeEstimator`."""
+        force = as_vector(specific_force, 'specific_force')
+        align(self._R, self._P, force, np.full(3, force_sigma**2), self._config.gravity)
+        self._aligned = True
+
+    def _step(self, sample: Sample) -> None:
         if not self._started:
             self._memory[RATE:RADIAL] = sample.angular_rate
             self._memory[FORCE:VELOCITY] = sample.specific_force

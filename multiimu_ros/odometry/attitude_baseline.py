@@ -1,18 +1,18 @@
 """What the attitude schemes of the sources share: a gyro bias that stays as it was calibrated.
 
-They offer what `AttitudeFilter` offers.  Their covariance grows as the gyroscope's noise and bias
+Their covariance grows as the gyroscope's noise and bias
 say (docs/derivations/attitude.md (3), (4)); nothing in these schemes makes it shrink.
 """
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 
 import numpy as np
 
 from multiimu_ros.arrays import as_vector, Matrix, Vector
 from multiimu_ros.compiled import compiled
-from multiimu_ros.odometry.attitude import AttitudeConfig, level
+from multiimu_ros.odometry.attitude import AttitudeConfig, AttitudeEstimator, level
 from multiimu_ros.odometry.kalman import propagate
-from multiimu_ros.odometry.rest import RestBuffer, Sample
+from multiimu_ros.odometry.rest import Sample
 from multiimu_ros.rotations import exp_so3, right_jacobian
 
 
@@ -28,17 +28,13 @@ def _grow(P: Matrix, phi: Vector, rate_psd: Vector, walk: Vector, dt: float) -> 
         P[3 + i, 3 + i] += walk[i] * dt
 
 
-class BaselineAttitude(ABC):
+class BaselineAttitude(AttitudeEstimator):
     """Orientation by a scheme without a covariance of its own; it never learns a bias."""
 
     def __init__(self, config: AttitudeConfig) -> None:
-        self._config = config
-        self._R = np.eye(3)
-        self._bias = np.zeros(3)
-        self._P = np.diag(np.square([1.0, 1.0, 1.0, *config.rate_bias_sigma]))
+        sigmas = np.array([1.0, 1.0, 1.0, *config.rate_bias_sigma])
+        super().__init__(config, np.diag(np.square(sigmas)), lag=0.0)
         self._last_rate: Vector | None = None
-        self._aligned = False
-        self._finite = RestBuffer(0.0)
 
     @property
     def arrays(self) -> tuple[Matrix, Vector, Matrix, Vector, Vector]:
@@ -49,33 +45,6 @@ class BaselineAttitude(ABC):
     def started(self) -> bool:
         """Whether there is a sample to step on from."""
         return self._last_rate is not None
-
-    @property
-    def aligned(self) -> bool:
-        """Whether the attitude has been set by `align` or a first `push`."""
-        return self._aligned
-
-    @property
-    def R_nb(self) -> Matrix:
-        """Attitude (3, 3): rotates body into local level vectors; yaw is zero at the start."""
-        return self._R.copy()
-
-    @property
-    def gyro_bias(self) -> Vector:
-        """Gyro bias (3,) [rad/s], as calibrated or restored."""
-        return self._bias.copy()
-
-    @property
-    def P(self) -> Matrix:
-        """Covariance (6, 6) of attitude (body axes) and gyro bias [rad^2], [rad^2/s^2]."""
-        return self._P.copy()
-
-    def restore_gyro_bias(self, bias: Vector, sigma: Vector) -> None:
-        """Start from a saved bias (3,) [rad/s] that is good to `sigma` (3,)."""
-        self._bias[:] = as_vector(bias, 'bias')
-        self._P[3:, :] = 0.0
-        self._P[:, 3:] = 0.0
-        self._P[3:, 3:] = np.diag(np.square(as_vector(sigma, 'sigma')))
 
     def align(self, specific_force: Vector, force_sigma: float) -> None:
         """Set roll and pitch from a force [m/s^2] whose noise and motion is `force_sigma`."""
@@ -88,17 +57,8 @@ class BaselineAttitude(ABC):
         self._P[:3, :3] = tilt * (np.eye(3) - np.outer(up, up))
         self._aligned = True
 
-    def push(self, sample: Sample) -> None:
-        """Move on by one sample; what is not finite is bridged."""
-        for ready in self._finite.push(sample):
-            self.step(ready)
-
-    def step(self, sample: Sample) -> None:
-        """Move on by one finite sample at once; the first one aligns."""
+    def _step(self, sample: Sample) -> None:
         config = self._config
-        if not self._aligned:
-            sigma = config.still_sigma if sample.still else config.motion_sigma
-            self.align(sample.specific_force, sigma)
         if self._last_rate is not None:
             # Half a sample of lag is what the newest rate alone would cost.
             rate = 0.5 * (self._last_rate + sample.angular_rate) - self._bias

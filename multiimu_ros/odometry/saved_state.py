@@ -22,8 +22,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
 from multiimu_ros.arrays import Matrix, NANOSECONDS, Vector
 from multiimu_ros.compiled import compiled
 from multiimu_ros.errors import ConfigError
-from multiimu_ros.odometry.attitude import AttitudeFilter
-from multiimu_ros.odometry.attitude_baseline import BaselineAttitude
+from multiimu_ros.odometry.attitude import AttitudeEstimator
 from multiimu_ros.odometry.error_state import ErrorStateConfig, ErrorStateFilter
 from multiimu_ros.rig import Rig, Triple
 from multiimu_ros.rotations import product
@@ -250,9 +249,7 @@ class Origin:
         self.attitude_yaw = float(np.arctan2(R[1, 0], R[0, 0]))
         self.attitude_variance = float(R[2] @ P[:3, :3] @ R[2]) + unknown
 
-    def restore_biases(
-        self, odometry: ErrorStateFilter, attitude: AttitudeFilter | BaselineAttitude
-    ) -> None:
+    def restore_biases(self, odometry: ErrorStateFilter, attitude: AttitudeEstimator) -> None:
         """Give new filters the biases of before, widened by their random walk since then."""
         state, config, since = self._state, self._config, self._elapsed
         variance = np.diag(state.covariance)
@@ -273,7 +270,7 @@ class Origin:
         pose = odometry.state, odometry.R_nb, odometry.P
         return place(*pose, self.position, self.yaw, self.spread)
 
-    def seen_attitude(self, attitude: AttitudeFilter | BaselineAttitude) -> tuple[Matrix, Matrix]:
+    def seen_attitude(self, attitude: AttitudeEstimator) -> tuple[Matrix, Matrix]:
         """Return R_nb (3, 3) and P (6, 6) of the attitude filter in the frame of before."""
         cosine, sine = np.cos(self.attitude_yaw), np.sin(self.attitude_yaw)
         R = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ attitude.R_nb
