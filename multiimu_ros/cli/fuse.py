@@ -109,7 +109,7 @@ def fuse(
     if closure is not None:
         summary['closure'] = closure._asdict()
     if report is not None:
-        about = bag.resolve().name, board.rig.name, profile
+        about = bag.resolve().name, board.rig.name, profile, _closing(closure)
         summary['report'] = _write_page(report, about, pipeline, recorder.walk(), walk)
     if as_json:
         print_json(summary)
@@ -138,12 +138,14 @@ def _check_closed(closed: float | None, *, smooth: bool) -> None:
         raise ConfigError(msg)
 
 
-def _closing(closure: Closure) -> str:
-    """Say in a sentence how well the recording closed by itself."""
-    doubt = '; did it really end where it began?' if closure.surprise > DOUBTFUL else ''
+def _closing(closure: Closure | None) -> str:
+    """Say in a sentence how well the recording closed by itself, if it was said to close."""
+    if closure is None:
+        return ''
+    doubt = ': did it really end where it began?' if closure.surprise > DOUBTFUL else ''
     return (
         f'Before it was closed, the path ended {closure.gap:.3g} m from its start, '
-        f'{closure.surprise:.1f} sigma{doubt}'
+        f'{closure.surprise:.1f} sigma{doubt or "."}'
     )
 
 
@@ -178,16 +180,20 @@ def _write_smoothed(
 
 
 def _write_page(
-    folder: Path, about: tuple[str, str, str], pipeline: Pipeline, live: Walk, best: Walk | None
+    folder: Path,
+    about: tuple[str, str, str, str],
+    pipeline: Pipeline,
+    live: Walk,
+    best: Walk | None,
 ) -> str:
-    """Write the report; `about` are the names of recording, rig and profile."""
+    """Write the report; `about` are the names of recording, rig and profile, and the closing."""
     # matplotlib takes a second
     from multiimu_ros.report.walk_page import WalkFacts, write_walk_page  # noqa: PLC0415
 
-    recording, rig, profile = about
+    recording, rig, profile, closing = about
     facts = WalkFacts(
         recording=recording, rig=rig, profile=cast('Any', profile), imus=pipeline.health(),
-        benefit=_gain(pipeline.benefit()),
+        benefit=_gain(pipeline.benefit()), closing=closing,
     )  # fmt: skip
     return str(write_walk_page(folder, live, facts, best))
 

@@ -91,12 +91,13 @@ def make_folder(folder: Path) -> None:
 
 
 def print_table(title: str, rows: Sequence[Mapping[str, Cell]]) -> None:
-    """Print rows of equal keys as a table."""
+    """Print rows of equal keys as a table, without columns that are empty in all of them."""
     table = Table(title=Text(title), title_justify='left')
-    for name in rows[0] if rows else ():
+    told = [name for name in (rows[0] if rows else ()) if any(row[name] != '' for row in rows)]
+    for name in told:
         table.add_column(Text(name), justify='left' if isinstance(rows[0][name], str) else 'right')
     for row in rows:
-        cells = (f'{x:.4g}' if isinstance(x, float) else str(x) for x in row.values())
+        cells = (f'{x:.4g}' if isinstance(x, float) else str(x) for x in map(row.get, told))
         table.add_row(*map(Text, cells))
     Console().print(table)
 

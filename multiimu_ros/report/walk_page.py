@@ -44,6 +44,8 @@ class WalkFacts:
         State and counters of each IMU at the end.
     benefit : str
         What the array gains over one IMU, in a sentence.
+    closing : str
+        How far from its start a path ended that was then closed, in a sentence; '' if it was not.
     """
 
     recording: str
@@ -51,6 +53,7 @@ class WalkFacts:
     profile: ProfileName
     imus: Sequence[ImuHealth] = ()
     benefit: str = ''
+    closing: str = ''
 
 
 def write_walk_page(
@@ -105,11 +108,16 @@ def _folder(folder: str | os.PathLike[str]) -> Path:
 
 def lead(summary: Summary, about: WalkFacts) -> str:
     """Return the walk in two sentences of HTML."""
+    way = (
+        f'<b>{metres(summary.distance)}</b> in {duration(summary.duration)}, carried by a '
+        f'{escape(about.profile)}'
+    )
+    if about.closing:
+        return f'{way}, and said to have ended where it began. {escape(about.closing)}'
     apart = float(np.linalg.norm(summary.from_start))
     share = f' ({100 * apart / summary.distance:.3g} % of the way)' if summary.distance else ''
     return (
-        f'<b>{metres(summary.distance)}</b> in {duration(summary.duration)}, carried by a '
-        f'{escape(about.profile)}, ended <b>{metres(apart)}</b> from the start{share}. If it '
+        f'{way}, ended <b>{metres(apart)}</b> from the start{share}. If it '
         'really ended where it began, that is the error; the filter itself expects '
         f'{metres(2 * float(summary.position_sigma[0]))} (2σ) horizontally and '
         f'{metres(2 * float(summary.position_sigma[1]))} in height.'

@@ -57,7 +57,11 @@ def test_hindsight_changes_the_odometry_alone_and_is_surer(folder):
 
 
 def test_a_walk_that_is_said_to_close_does_and_tells_how_far_off_it_was(folder):
-    summary = fuse(folder, 'closed', '--smooth', '--closed', '0.001')
+    options = ['--smooth', '--closed', '0.001', '--report', str(folder / 'closed_report')]
+    summary = fuse(folder, 'closed', *options)
+    page = (folder / 'closed_report' / 'fuse.html').read_text()
+    assert 'said to have ended where it began. Before it was closed, the path ended' in page
+    assert 'that is the error' not in page
     _, rows = numbers(folder / 'closed', '/odom')
     assert np.linalg.norm(rows[-1, :3]) < min(0.003, summary['closure']['gap'])
     assert summary['closure']['surprise'] < 3

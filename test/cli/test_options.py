@@ -74,3 +74,12 @@ def test_a_table_of_nothing_is_only_its_title(capsys):
     out = capsys.readouterr().out
     assert 'rate [s]' in out  # not taken for a mark-up
     assert '62.51' in out
+
+
+def test_a_table_leaves_out_what_is_empty_in_all_rows(capsys):
+    rows = [{'name': 'imu0', 'fault': '', 'why': ''}, {'name': 'imu1', 'fault': 'bias', 'why': ''}]
+    options.print_table('IMUs', rows)
+    out = capsys.readouterr().out
+    assert 'fault' in out
+    assert 'bias' in out
+    assert 'why' not in out
