@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from multiimu_ros.arrays import Flags, Matrix, NANOSECONDS, Scalars, Stamps, Vectors
 from multiimu_ros.errors import ConfigError
-from multiimu_ros.fused_frame import FusedFrame
+from multiimu_ros.fused_frame import columns, FusedFrame
 from multiimu_ros.odometry.attitude import OUTAGE
 from multiimu_ros.odometry.smoother import Smoothed
 
@@ -98,7 +98,8 @@ class WalkRecorder:
     def walk(self) -> Walk:
         """Return what has passed so far."""
         self._pack()
-        return joined(self._blocks)
+        self._blocks = [joined(self._blocks)]
+        return self._blocks[0]
 
     def _pack(self) -> None:
         if self._frames:
@@ -157,11 +158,9 @@ def smoothed_walk(live: Walk, smoothed: Smoothed) -> Walk:
 
 
 def _columns(frames: Sequence[FusedFrame]) -> Walk:
-    def column(name: str) -> Matrix:
-        return np.array([getattr(frame, name) for frame in frames])
-
-    pose, orientation = column('pose_covariance'), column('odom_orientation')
-    velocity_b = column('velocity_b')
+    column = columns(np.array([frame.record for frame in frames]))
+    pose, orientation = column['pose_covariance'], column['odom_orientation'].copy()
+    velocity_b = column['velocity_b']
     known = np.isfinite(orientation).all(axis=1)
     velocity_n = np.full_like(velocity_b, np.nan)
     velocity_n[known] = Rotation.from_quat(orientation[known]).apply(velocity_b[known])
@@ -169,11 +168,11 @@ def _columns(frames: Sequence[FusedFrame]) -> Walk:
         stamp_ns=np.array([frame.stamp_ns for frame in frames], np.int64),
         velocity_n=velocity_n,
         orientation=orientation,
-        position_n=column('position_n'),
+        position_n=column['position_n'].copy(),
         position_covariance=pose[:, :3, :3].copy(),
         rotation_covariance=pose[:, 3:, 3:].copy(),
-        still=column('still').astype(bool),
-        **{name: column(name) for name in BIASES},
+        still=np.array([frame.still for frame in frames], bool),
+        **{name: column[name].copy() for name in BIASES},
     )
 
 
