@@ -45,7 +45,6 @@ def test_a_loop_that_is_said_to_close_does_without_surprise():
     _, config, recording = loop()
     smoother = Smoother(config, recording, closed_sigma=0.05)  # feet on a mark, by eye
     end = np.concatenate([block.position_n for block in smoother.blocks()])[-1]
-    # Its publishers reach 0.082 m, and know as well that it is a loop.
     assert np.linalg.norm(end) < 0.05
     assert smoother.closure.gap > 0.05  # it had something to do
     assert smoother.closure.surprise < 2

@@ -77,5 +77,5 @@ def test_footprints_are_met_as_well_as_their_publishers_meet_them(number, publis
 
 @pytest.mark.realdata
 def test_a_short_loop_closes_without_looking_ahead():
-    # 0.38 to 0.57 m for plain causal filters; the published 0.082 m knows that it is a loop.
+    # 0.38 to 0.57 m for plain causal filters; the published 0.082 m looks ahead.
     assert end_error(walk(xio_gait()).position) < 0.35
