@@ -19,8 +19,10 @@ def judge(outcomes):
     shown = table(outcomes)
     sys.stdout.write(shown)
     for each in outcomes:
-        assert each.named_s < 1.0, shown
-        assert each.over_s < BACK_S, shown
+        # By how much messages came later than they were made: the machine did something else.
+        late_s = 1e-3 * max(0.0, each.pause_ms - each.missing_ms)
+        assert each.named_s < 1.0 + late_s, shown
+        assert each.over_s < BACK_S + late_s, shown
         assert each.step_sigmas < 5.0, shown
         assert each.position_mm < 10.0, shown
         assert each.turn_deg < 0.2, shown
