@@ -19,6 +19,8 @@ KERNELS := test/test_rotations.py test/calibration/test_preintegration.py test/s
 NO_KERNELS := $(foreach name,filter_bank local_filters masters prefilters,\
 	--ignore=test/fusion/test_$(name).py) --ignore=test/synchronization/test_delay.py
 
+DRILL := test/nodes/test_fault_drill.py
+
 # What builds the sketch of firmware/ and the board that it is tested on.
 FIRMWARE_TOOLS := make gcc g++ libc6-dev gcc-avr avr-libc binutils-avr arduino-core-avr \
 	libsimavr-dev arduino-builder
@@ -49,7 +51,9 @@ test: firmware-tools  ## everything but statistics: linters, types, imports, tes
 	@echo '== 1/3 core, compiled, two at a time'
 	$(COVERED) -n 2 --dist worksteal -m 'not ros and not long'
 	@echo '== 2/3 rim: real nodes and processes that mostly wait, each third in a domain of its own'
-	$(COVERED) -n 3 --dist loadfile -m ros --ignore=test/firmware
+	$(COVERED) -n 3 --dist loadfile -m ros --ignore=test/firmware --ignore=$(DRILL)
+	@echo '== 2/3 rim: faults in real time, alone, for what is judged is when messages come'
+	$(COVERED) -m ros $(DRILL)
 	@echo '== 2/3 rim: the board in real time, which takes what it needs of the processors'
 	$(COVERED) -n 2 --dist loadfile -m ros test/firmware
 	@echo '== 3/3 kernels as plain Python, for coverage'
