@@ -12,6 +12,7 @@ import numpy as np
 
 from multiimu_ros.arrays import Matrix, Vector
 from multiimu_ros.compiled import compiled
+from multiimu_ros.odometry.attitude_steps import OUTAGE
 
 CAPACITY = 1024  # samples withheld at most: a quarter of a second at 4 kHz
 # Columns of a row: the fields of `Sample`.
@@ -82,7 +83,8 @@ def withhold(ring: Matrix, clock: Vector, row: Vector, ready: Matrix) -> int:
         return made
     while clock[COUNT] > 0.0:
         _release(ring, clock, ready[made])
-        ready[made, STILL] = ready[made, RESTING] = 0.0
+        if row[DT] <= OUTAGE:  # what ended in a hole, or beyond it, rested up to the hole
+            ready[made, STILL] = ready[made, RESTING] = 0.0
         made += 1
     clock[SPAN] = 0.0  # no rounding from one rest to the next
     ready[made] = row
