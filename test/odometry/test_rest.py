@@ -25,6 +25,14 @@ def test_rest_is_released_after_the_lag_and_made_up_for_as_motion():
     assert not any(ready.resting or ready.still for ready in late)
 
 
+def test_what_rested_up_to_a_hole_rested():
+    buffer = RestBuffer(0.045)
+    for k in range(6):
+        buffer.push(sample(k, True))
+    late = buffer.push(sample(6, False, dt=2.0))
+    assert [ready.resting for ready in late] == [True] * 4 + [False]
+
+
 @given(st.lists(st.booleans(), max_size=60))
 def test_every_sample_comes_out_once_and_in_order(rests):
     buffer = RestBuffer(0.05)
