@@ -19,6 +19,7 @@ KERNELS := test/test_rotations.py test/calibration/test_preintegration.py test/s
 NO_KERNELS := $(foreach name,filter_bank local_filters masters prefilters,\
 	--ignore=test/fusion/test_$(name).py) --ignore=test/synchronization/test_delay.py
 
+# Judges when messages come, so nothing else may run beside it.
 DRILL := test/nodes/test_fault_drill.py
 
 # What builds the sketch of firmware/ and the board that it is tested on.

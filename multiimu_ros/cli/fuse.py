@@ -142,10 +142,10 @@ def _closing(closure: Closure | None) -> str:
     """Say in a sentence how well the recording closed by itself, if it was said to close."""
     if closure is None:
         return ''
-    doubt = ': did it really end where it began?' if closure.surprise > DOUBTFUL else ''
+    ending = ': did it really end where it began?' if closure.surprise > DOUBTFUL else '.'
     return (
         f'Before it was closed, the path ended {closure.gap:.3g} m from its start, '
-        f'{closure.surprise:.1f} sigma{doubt or "."}'
+        f'{closure.surprise:.1f} sigma{ending}'
     )
 
 

@@ -3,7 +3,7 @@
 A detector needs some samples to notice that a rest has ended; the first samples of the motion
 would be taken for bias and the first of the turn would be lost.  So a filter holds its state
 through a rest and learns from each sample only when it is `lag` old; when the rest ends, it
-makes up for what is younger, as motion.
+makes up for what is younger, as motion; but what rested up to a hole in the data has rested.
 """
 
 from typing import NamedTuple
