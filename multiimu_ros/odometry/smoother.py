@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multiimu_ros.arrays import as_vectors, Flags, Matrix, Scalars, Stamps, Vector, Vectors
-from multiimu_ros.odometry.attitude import GAP
+from multiimu_ros.odometry.attitude import GAP, OUTAGE
 from multiimu_ros.odometry.error_state import ErrorStateConfig, ErrorStateFilter
 from multiimu_ros.odometry.rest import Sample
 from multiimu_ros.odometry.smoother_kernels import run_backward, run_forward, see_position
@@ -120,11 +120,11 @@ def believe_rest(dt: Scalars, still: Flags, resting: Flags, lag: float) -> Flags
     """Return (N, 2) flags still, resting, without the last `lag` [s] of each rest.
 
     A detector needs some samples to notice that a rest has ended; they are motion, as
-    `RestBuffer` has it.
+    `RestBuffer` has it.  What rested up to a hole in the data has rested.
     """
     flags = np.column_stack((still, resting))
     elapsed = np.concatenate(([0.0], np.cumsum(dt)))
-    for end in np.flatnonzero(resting[:-1] & ~resting[1:]):
+    for end in np.flatnonzero(resting[:-1] & ~resting[1:] & (dt[1:] <= OUTAGE)):
         late = slice(int(np.searchsorted(elapsed, elapsed[end + 1] - lag)), int(end) + 1)
         flags[late][resting[late]] = False
     return flags

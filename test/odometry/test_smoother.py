@@ -261,6 +261,13 @@ def test_gaps_and_rubbish_are_bridged():
     assert np.abs(smoothed.position_n).max() < 0.01
 
 
+def test_what_rested_up_to_a_hole_rested():
+    dt, resting = np.full(10, 0.1), np.arange(10) < 6
+    assert believe_rest(dt, resting, resting, 0.25)[:, 1].sum() == 4  # two younger than the lag
+    dt[6] = 2.0
+    assert believe_rest(dt, resting, resting, 0.25)[:, 1].sum() == 6
+
+
 def test_a_lost_sample_is_admitted():
     _, _, odometry = filters('foot')
     config = odometry._config
